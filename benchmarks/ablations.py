@@ -1,10 +1,10 @@
-"""What each idea of the optimiser buys: problems planned with it switched off, beside everything on.
+"""What each idea of the optimiser buys: problems planned with it switched off, compared with everything on.
 
 python -m benchmarks.ablations
 python -m benchmarks.ablations --problems peer_cap --only "one window" "squared penalty" --coarse
 
-Prints a table for each problem in Markdown, with how each idea was switched off; the rows go into a table of runs as those
-of benchmarks.run do, and what has a row of this commit is not run again.
+Prints a Markdown table for each problem, which says how each idea was switched off. The rows go into a table of runs, as
+those of benchmarks.run do; runs with a row of this commit are not repeated.
 """
 
 from __future__ import annotations

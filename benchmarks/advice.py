@@ -1,8 +1,8 @@
-"""Whether changes that a plan advises do what they say: each is applied to the problem, which is planned anew.
+"""Whether the changes that a plan advises do what they say: each is applied to the problem, which is planned again.
 
 python -m benchmarks.advice cylinder_logo --set layers.count=1
 
-Judged are the beads that a change was tried on: their share at speed and their time, both within 10 %.
+The beads that a change was tried on are judged: their share at speed and their time, both within 10 %.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What free axes cost and buy: one part, on a table of two axes, with one to four of them for the planner to choose.
+"""What free axes cost and buy: one part on a two-axis table, with one to four axes for the planner to choose.
 
 python -m benchmarks.axes --waypoints 1000
 
-The part is the cap of `benchmarks.peer_cases` on a turntable that tilts. Roll about the nozzle is free in any case; what
-is not free is held, the tilt cone's two axes at none.
+The part is the cap of `benchmarks.peer_cases` on a tilting turntable. Roll about the nozzle is always free; axes that are
+not free are held, the two of the tilt cone at zero.
 """
 
 from __future__ import annotations

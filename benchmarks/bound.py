@@ -1,4 +1,4 @@
-"""How far the ladder's route is at most from the best one on its fine grid: route price, lower bound, gap.
+"""How far the ladder's route can be from the best one on its fine grid: route price, lower bound, gap.
 
 python -m benchmarks.bound cylinder_logo --set layers.count=1
 """

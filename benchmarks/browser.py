@@ -1,4 +1,4 @@
-"""A headless Chromium for benchmarks and screenshots: the computer's own, drawn by its processor alone."""
+"""A headless Chromium for benchmarks and screenshots: the installed one, rendering on the CPU alone."""
 
 from __future__ import annotations
 

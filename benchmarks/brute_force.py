@@ -1,11 +1,11 @@
 """Whether a part can be printed at all: a plain search of a fine grid for a continuous motion along each bead.
 
 It shares no search with the planner, only the cell, its inverse kinematics and its obstacles. At rungs along a bead,
-states are all rolls and chosen joints on a grid, all branches, and joints in whole turns as their ranges allow; they
-are joined where no joint leaps. Between rungs, roll and chosen joints run straight, and every sample of the task is
-looked at in the end. So a motion that is found is one: it has been followed from end to end. That none is found proves nothing,
-since the grid has gaps, the nozzle is never tilted and crowded rungs keep a random part of their states. Travel between
-beads, and how fast joints can be, are not looked at; `plan_along` tells what a plan along the motion is worth.
+the states are all rolls and chosen joints on a grid, all branches, and joints in whole turns as their ranges allow. States
+are connected where no joint leaps. Between rungs, roll and chosen joints run straight, and finally every sample of the task
+is checked. A motion that is found is therefore real: it has been followed from end to end. If none is found, that proves
+nothing: the grid has gaps, the nozzle is never tilted, and crowded rungs keep a random part of their states. Travel between
+beads and the joints' speed limits are ignored; `plan_along` shows what a plan along the motion is worth.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Inputs that ask for much: how long each takes and how much memory, or how soon it is refused.
+"""Demanding inputs: how much time and memory each takes, or how soon it is refused.
 
 python -m benchmarks.budgets                  all, about half an hour on two free cores
 python -m benchmarks.budgets curves uses      some of them
-python -m benchmarks.budgets --list           what they are
+python -m benchmarks.budgets --list           list them
 python -m benchmarks.budgets --model          the model of time and memory against the committed runs
 
-Each is generated into a folder of its own and given to a command in a process of its own, whose peak memory is that of all its
-processes together. The exit code is 1 where one takes longer or more memory than its budget, or ends otherwise.
+Each input is generated into its own folder and given to a command in its own process; peak memory is that of all its
+processes together. The exit code is 1 if one exceeds its budget of time or memory, or ends in another way.
 """
 
 from __future__ import annotations
@@ -386,10 +386,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of("budgets", __doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(CASES)}; default: all")
     parser.add_argument(
-        "--wait", type=float, default=2.0, metavar="TIMES", help="of its seconds, after which one is ended"
+        "--wait", type=float, default=2.0, metavar="TIMES", help="end a case after this many times its seconds"
     )
-    parser.add_argument("--list", action="store_true", help="say what there is, and run nothing")
-    parser.add_argument("--model", action="store_true", help="time and memory as foreseen, against the committed runs")
+    parser.add_argument("--list", action="store_true", help="list the cases, and run nothing")
+    parser.add_argument("--model", action="store_true", help="time and memory as estimated, against the committed runs")
     options = parser.parse_args(arguments)
     console = Console(width=150)
     unknown = [name for name in options.names if name not in CASES]

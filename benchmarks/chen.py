@@ -3,9 +3,9 @@
 python -m benchmarks.chen freeform_25.txt [--out published.csv]
 
 The file is one of their published tool paths (x y z nx ny nz, y up, normals along the nozzle); cell, ranges and cones are
-those of their public code. Their objective is the
-sum of (0.1 |v|^2 + 0.5 |a|^2 + 1.0 |j|^2) ds over the waypoints, at the commanded speed, v, a and j by differences
-from waypoint to waypoint; it is given for the start (the ladder) and for what each strategy makes of it.
+those of their public code. Their objective is the sum of (0.1 |v|^2 + 0.5 |a|^2 + 1.0 |j|^2) ds over the waypoints, at the
+commanded speed, with v, a and j as differences from waypoint to waypoint. It is given for the start (the ladder) and for
+the result of each strategy.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The nozzle's distances from what it has laid, by the verifier and by coal, side by side.
+"""The nozzle's distances from the beads it has laid, by the verifier and by coal, side by side.
 
-For coal the nozzle is a convex body of 128 sides, and beads are capsules from sample to sample in seven rows across; where
-depths are compared, spheres along their axes, since a long capsule takes more to be freed than its deepest place. Compared is
-how deep the nozzle presses into beads printed before, and how near nozzle and head come beyond the tip's zone, at the samples
-where the verifier found the worst of it and at others between.
+For coal the nozzle is a convex body of 128 sides, and beads are capsules from sample to sample in seven rows across. To
+compare depths, beads are spheres along their axes, since a long capsule must move farther to come free than its deepest
+place is deep. Two things are compared: how deep the nozzle presses into earlier beads, and how close nozzle and head come
+beyond the tip's zone. Both are taken at the samples where the verifier found the worst values, and at others between.
 
 python -m benchmarks.clearance                              three prints
 python -m benchmarks.clearance peer_cap saddle_ring         or others, `--set` as for planner.solve

@@ -1,13 +1,12 @@
-"""What a second worker buys: a grid of plans on a dask cluster of one worker, of two, and of two of which one is killed.
+"""What a second worker buys: a grid of plans on a dask cluster of one worker, of two, and of two with one killed.
 
 python -m benchmarks.cluster
 python -m benchmarks.cluster --cells 6
 python -m benchmarks.cluster --print cylinder_logo
 
-Scheduler and workers are started here, each worker with a core of its own. Everything that a plan's verification
-measured is compared, bit for bit, between the three runs. With --print it is one print that the workers share: what is
-timed is all that `planner.solve` does before it writes, most of which one process does alone. Exit code 0 if all is the
-same, 3 if it is not.
+Scheduler and workers are started here, each worker on its own core. Everything that a plan's verification measures is
+compared bit for bit between the three runs. With --print the workers share one print: everything that `planner.solve` does
+before writing is timed, and one process does most of it alone. Exit code 0 if everything is the same, otherwise 3.
 """
 
 from __future__ import annotations

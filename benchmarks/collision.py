@@ -1,7 +1,7 @@
-"""How near things come in shipped problems, and what it takes to know: seconds of CPU of one process.
+"""How close bodies come in shipped problems, and the cost of checking it: CPU seconds of one process.
 
 python -m benchmarks.collision                 all of them
-python -m benchmarks.collision peer_cap        or some
+python -m benchmarks.collision peer_cap        some of them
 """
 
 from __future__ import annotations

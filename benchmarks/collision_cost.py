@@ -1,4 +1,4 @@
-"""What clearance costs in planning: CPU time of each stage with everything that may touch, and with nothing in the way.
+"""What clearance costs in planning: CPU time of each stage with all collision bodies, and with none.
 
 python -m benchmarks.collision_cost [PROBLEM ...] [--set layers.count=1]
 """

@@ -1,4 +1,4 @@
-"""What the commands have in common: how their help looks, and how they tell what is refused."""
+"""Common to the commands: the layout of their help, and the reporting of refusals."""
 
 from __future__ import annotations
 

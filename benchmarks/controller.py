@@ -2,8 +2,8 @@
 
 python -m benchmarks.controller DATA
 
-DATA has files of the public repository hehonglu123/Motion-Primitive-Planning, as retyped tables (docs/controller_model.md
-says which), and in DATA/corners/real and DATA/corners/simulated folders of hehonglu123/ABB_Primitive_Study.
+DATA holds files of the public repository hehonglu123/Motion-Primitive-Planning, as retyped tables (docs/controller_model.md
+says which). DATA/corners/real and DATA/corners/simulated hold folders of hehonglu123/ABB_Primitive_Study.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
-"""Every file of a published collection is printed, or refused with the reason: none crashes, hangs or comes out wrong.
+"""Every file of a published collection is printed, or refused with a reason: none crashes, hangs or comes out wrong.
 
 python -m benchmarks.corpora aerofoils
 python -m benchmarks.corpora logos --sample 100 --seed 1 --plan 3
 
-Aerofoils (package aerosandbox) become wings of an 80 mm chord; logos (package @iconify-json/logos) one layer, 60 mm wide,
-on the cylinder of cylinder_logo. What is made is checked: beads of a wing lie in its section grown by a layer, and fill
-as much of it as they should; those of a logo lie on the cylinder and are as long as its lines. Exit code 1 for a crash.
+Aerofoils (package aerosandbox) become wings with an 80 mm chord; logos (package @iconify-json/logos) become one layer,
+60 mm wide, on the cylinder of cylinder_logo. The results are checked: a wing's beads lie in its section grown by a layer,
+and fill as much of it as they should; a logo's beads lie on the cylinder and are as long as its lines. Exit code 1 for a
+crash.
 """
 
 from __future__ import annotations
@@ -203,8 +204,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = parser_of("corpora", __doc__)
     parser.add_argument("corpus", choices=sorted(ARCHIVES))
     parser.add_argument("--archive", type=Path, metavar="FILE", help="the package's file; default: it is downloaded")
-    parser.add_argument("--sample", type=int, metavar="N", help="so many files; default: all")
-    parser.add_argument("--seed", type=int, default=1, help="chooses the sample, and what is planned")
+    parser.add_argument("--sample", type=int, metavar="N", help="number of files; default: all")
+    parser.add_argument("--seed", type=int, default=1, help="seed that chooses the sample, and what is planned")
     parser.add_argument("--plan", type=int, default=0, metavar="K", help="plan K of them completely")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     options = parser.parse_args(arguments)

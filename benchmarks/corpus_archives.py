@@ -1,4 +1,4 @@
-"""Published files that nobody here drew: fetched by the package managers, checked, unpacked in memory."""
+"""Published files drawn by others: fetched by the package managers, checked, unpacked in memory."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Archive:
             raise NoArchive(f"cannot read {path}: {error.strerror}") from error
         kind, _, wanted = self.digest.partition(":")
         if hashlib.new(kind, content).hexdigest() != wanted:
-            raise NoArchive(f"{path} is not {self.package} {self.version}: its {kind} is another")
+            raise NoArchive(f"{path} is not {self.package} {self.version}: its {kind} differs")
         return content
 
 

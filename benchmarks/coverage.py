@@ -1,4 +1,4 @@
-"""How paths over the shipped problems' faces compare: the orders of samples of Onstein et al., and our rows.
+"""Paths over the shipped problems' faces compared: the sample orders of Onstein et al., and our rows.
 
 python -m benchmarks.coverage [curved_plate propeller_blade shoehorn] [--set layers.source.spacing_mm=8] [--plan]
 """

@@ -1,4 +1,4 @@
-"""Make the report that `beadwise demo` shows, of the present code.
+"""Make the report that `beadwise demo` shows, with the present code.
 
 python -m benchmarks.demo
 """

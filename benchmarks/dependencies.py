@@ -201,7 +201,7 @@ def _asked(pins: Mapping[str, tuple[str, str]], lock: str) -> Iterator[tuple[str
         command += ["--wheel-dir", folder, *map("==".join, pins.values())]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
-            raise InputError(f"pip does not get the packages of {lock}: {done.stderr.strip().splitlines()[-1]}")
+            raise InputError(f"pip cannot get the packages of {lock}: {done.stderr.strip().splitlines()[-1]}")
         for found in distributions(path=[str(wheel) for wheel in Path(folder).glob("*.whl")]):
             yield canonicalize_name(found.metadata["Name"]), found.metadata.json
 

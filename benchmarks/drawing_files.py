@@ -1,8 +1,8 @@
-"""Every DXF and SVG file of a folder becomes beads on a plane, or is refused with the reason: none crashes.
+"""Every DXF and SVG file in a folder becomes beads on a plane, or is refused with a reason: none crashes.
 
 python -m benchmarks.drawing_files FOLDER --width 60 --csv OUT.csv
 
-One layer, `--width` mm wide, or with --width 0 as large as a DXF file says. Exit code 1 for a crash.
+One layer, `--width` mm wide; with --width 0, as large as the DXF file says. Exit code 1 for a crash.
 """
 
 from __future__ import annotations

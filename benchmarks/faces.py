@@ -1,9 +1,9 @@
-"""Every STEP and IGES file of a folder is read as faces, or refused with the reason: none crashes.
+"""Every STEP and IGES file in a folder is read as faces, or refused with a reason: none crashes.
 
 python -m benchmarks.faces FOLDER --csv OUT.csv
 
-With --cover the largest face is covered as well, with one layer of rows in the cell of curved_plate, a twentieth of all
-faces' extent apart. Exit code 1 for a crash.
+With --cover the largest face is covered as well, with one layer of rows in the cell of curved_plate, spaced by a twentieth
+of the extent of all faces. Exit code 1 for a crash.
 """
 
 from __future__ import annotations

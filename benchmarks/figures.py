@@ -1,4 +1,4 @@
-"""Figures of a report: a mark for each problem and strategy, hollow where the plan does not hold."""
+"""Figures of a report: a mark for each problem and strategy, hollow if the plan is not verified."""
 
 from __future__ import annotations
 

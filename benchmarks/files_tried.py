@@ -1,4 +1,4 @@
-"""Files of a folder, tried one after another: a line and a row for each, and exit code 1 if one crashed."""
+"""Files in a folder, tried one after another: a line and a row for each, and exit code 1 if one crashed."""
 
 from __future__ import annotations
 

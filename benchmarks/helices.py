@@ -1,9 +1,9 @@
-"""Helices of 1 to 80 turns on a cylinder and on a cone: the default strategy beside `as_published`.
+"""Helices of 1 to 80 turns on a cylinder and on a cone: the default strategy compared with `as_published`.
 
 python -m benchmarks.helices --turns 1 5 20 80
 
-Two arms with a turntable that tilts (IRB 140 and IRB 2600 with IRBP A250), its rotation free or both its axes. The default
-should verify every one, at speed on no less of the length than `as_published`. The exit code is 1 where it does not.
+Two arms with a tilting turntable (IRB 140 and IRB 2600 with IRBP A250), with its rotation or both its axes free. The
+default should verify every one, at speed on no less of the length than `as_published`; otherwise the exit code is 1.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What the optimiser is made of, idea by idea, and how each is switched off to see what it buys.
+"""The optimiser's ideas, one by one, and how each is switched off to see what it buys.
 
-Most are settings of a problem, or strategies. The others are constants and functions of a module, put in another's place
-for the time of a run in a process of its own; compiled loops that have them built in are compiled anew there.
+Most are settings of a problem, or strategies. The others are constants and functions of a module, replaced for the
+duration of a run in its own process; compiled loops that contain them are compiled again there.
 """
 
 from __future__ import annotations

@@ -2,12 +2,12 @@
 
 python -m benchmarks.identify [--seeds 2] [--quick]
 
-Each robot moves as its test program asks, its true limits drawn anew for each seed: speed 0.7 to 1 of its file's,
-acceleration 0.5 to 1.5, jerk 0.25 to 0.8, servo lag and delay as named. `worst` is over all joints and seeds, of limits
-that are told; `not told` counts those that the recording does not show, such as a speed that is not reached.
+Each robot moves as its test program requests. Its true limits are drawn for each seed: speed 0.7 to 1 of its file's,
+acceleration 0.5 to 1.5, jerk 0.25 to 0.8, servo lag and delay as named. `worst` is over all joints and seeds, of reported
+limits; `not told` counts those that the recording does not show, such as a speed that is not reached.
 
 A second table has controllers that follow a program: an IRB 140's tip along corners with zones of 0.5, 2 and 5 mm, and
-along lines of short moves to and fro. A third has extruders, whose test line is weighed or looked at.
+along lines of short moves to and fro. A third has extruders, whose test line is weighed or inspected.
 """
 
 from __future__ import annotations

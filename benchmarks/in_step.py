@@ -1,9 +1,9 @@
-"""How far the extruder's board and the robot are apart at both ends of each bead, in simulation.
+"""How far the extruder's board and the robot are out of step at both ends of each bead, in simulation.
 
 python -m benchmarks.in_step [PROBLEM ...] [--set layers.count=1]
 
-The board reads the file that is written for it (planner/simulate/board_file.py); the robot switches its outputs when the
-plan does, or 5 % slower. A board that rests moves filament from rest to rest at 1,500 mm/s2.
+The board reads the file written for it (planner/simulate/board_file.py); the robot switches its outputs when the plan
+does, or 5 % slower. A board at rest moves filament from rest to rest at 1,500 mm/s2.
 """
 
 from __future__ import annotations

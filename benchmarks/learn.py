@@ -1,11 +1,11 @@
-"""What a simulated robot leaves of a plan, run by run, while its program learns from recordings.
+"""How far a simulated robot deviates from a plan, run by run, while its program learns from recordings.
 
 python -m benchmarks.learn
 python -m benchmarks.learn cylinder_logo --runs 3 --noise-deg 0.01
 
-Robots are the controller models that programs are played with, and others that no model knows: joints that follow late by
-different times, corners cut by all of the parabola in a zone, noise in the recording. What is told is the true distance of
-the executed tip from the plan, across it and on beads, without the noise.
+The robots are the controller models that play programs, and others that no model covers: joints that lag by different
+times, corners cut by the full parabola in a zone, noise in the recording. The printed value is the true distance of the
+executed tip from the plan, across it and on beads, without the noise.
 """
 
 from __future__ import annotations

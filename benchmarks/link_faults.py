@@ -1,11 +1,11 @@
-"""Prints with an injected fault each, over the link's own command, sockets and threads, against the simulators.
+"""Prints with one injected fault each, over the link's own command, sockets and threads, against the simulators.
 
 python -m benchmarks.link_faults [--runs 1000] [--seed 0] [--workers 16]
 
 Faults hit the controller's web services at any request of a run (refused, failing, without login, busy, dropped before or
 after it was done, slow, dripping, garbage, another kind of text, subscription lost; once, three times, or from there on),
-its program's socket, the extruder's board, and FTP. Half of the runs speak version 2.0, over TLS. After each run the
-simulators are asked what became of it: nothing lost, nothing doubled, nothing left moving, and the user told why.
+its program's socket, the extruder's board, and FTP. Half of the runs use version 2.0, over TLS. After each run the
+simulators are checked: nothing lost, nothing doubled, nothing left moving, and the reason given to the user.
 """
 
 from __future__ import annotations

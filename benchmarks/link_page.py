@@ -2,8 +2,8 @@
 
 python -m benchmarks.link_page out/fibre_bowl/FibreBowl.mod
 
-The program runs on the simulators, ten times as fast as the print. In the middle of a bead a jam is told, and the extruder
-is primed; then the picture is taken, and the run is stopped.
+The program runs on the simulators, ten times as fast as the print. In the middle of a bead a jam is reported, and the
+extruder is primed; then the picture is taken, and the run is stopped.
 """
 
 from __future__ import annotations

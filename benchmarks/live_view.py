@@ -1,10 +1,10 @@
-"""How long the live view takes from a save to the picture: a draft's, where there is one, and the whole print's.
+"""How long the live view takes from a save to the picture: of a draft, if there is one, and of the whole print.
 
 python -m benchmarks.live_view hemisphere_honeycomb
 
-The problem's speed is edited in a copy of its files, several times, some seconds after the last report was drawn, as by
-somebody who looks at it; told are the median and the longest time until the new report's scene is drawn in a headless
-browser, which draws by the processor alone, on the same cores that solve.
+The problem's speed is edited in a copy of its files several times, each time some seconds after the last report was drawn,
+as a user would. The command prints the median and the longest time until the new report's scene is drawn in a headless
+browser, which renders on the CPU alone, on the same cores that solve.
 """
 
 from __future__ import annotations

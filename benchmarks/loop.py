@@ -1,4 +1,4 @@
-"""The loop at the head of the README: the report's scene while a print is laid, as an animated picture.
+"""The loop at the top of the README: the report's scene during a print, as an animated picture.
 
 python -m benchmarks.loop                        docs/pictures/printing.webp
 python -m benchmarks.loop hemisphere_honeycomb --out honeycomb.webp

@@ -1,4 +1,4 @@
-"""The most memory that a process and all that it started hold together, shared pages counted once."""
+"""Peak memory of a process and all the processes it started, shared pages counted once."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""One mesh as what is printed on, or as what is printed: its row written as JSON; benchmarks.meshes starts it.
+"""One mesh as a substrate or as a volume: its row written as JSON; benchmarks.meshes starts it.
 
 python -m benchmarks.mesh_runs FILE JOB      JOB: the fields of a `MeshJob` as JSON
 
-What a pattern asked for and what is laid are counted here, apart from what the planner says of it.
+The amounts requested by a pattern and laid are counted here, independently of the planner's own figures.
 """
 
 from __future__ import annotations

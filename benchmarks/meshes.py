@@ -1,9 +1,9 @@
-"""Every mesh of a folder as what is printed on and as what is printed: verified, refused for which reason, or lost in silence.
+"""Every mesh in a folder as a substrate and as a volume: verified, refused with a reason, or silently lost.
 
 python -m benchmarks.meshes FOLDER
 
 A row for each mesh and kind: as a substrate it carries a zig-zag over most of its top, as a volume it is filled with beads.
-What a pattern asks for and what is laid are counted here; `silent` is the share that is neither laid nor told.
+The amounts requested by a pattern and laid are counted here; `silent` is the share that is neither laid nor reported.
 """
 
 from __future__ import annotations
@@ -88,9 +88,9 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument(
         "--cell", default="hemisphere_honeycomb", metavar="PROBLEM", help="whose cell and process are used"
     )
-    command.add_argument("--kind", choices=KINDS, action="append", help="only as this; repeatable")
+    command.add_argument("--kind", choices=KINDS, action="append", help="only as this kind; repeatable")
     command.add_argument(
-        "--size", type=float, default=40.0, metavar="MM", help="of the longest side of a mesh; default: 40"
+        "--size", type=float, default=40.0, metavar="MM", help="length of a mesh's longest side; default: 40"
     )
     command.add_argument(
         "--leave-out", type=float, default=1.0, metavar="SHARE", help="leave_out_share of the problem; default: 1"
@@ -99,7 +99,7 @@ def parser() -> argparse.ArgumentParser:
         "--cover", type=float, default=0.7, metavar="SHARE", help="of a substrate's sides, by the pattern; default: 0.7"
     )
     command.add_argument("--toolpath", action="store_true", help="only lay beads, do not plan the robot's motion")
-    command.add_argument("--limit", type=some_seconds, metavar="SECONDS", help="end what takes longer")
+    command.add_argument("--limit", type=some_seconds, metavar="SECONDS", help="end a run that takes longer")
     command.add_argument("--out", type=Path, default=OUT, metavar="FILE.csv", help=f"default: {OUT}")
     return command
 
@@ -124,7 +124,7 @@ def run(options: argparse.Namespace) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code: 0 even where meshes gave no plan, for that is what the rows are for."""
     options = parser().parse_args(arguments)
-    return exit_code(lambda: run(options), lambda text: print(text, file=sys.stderr), f"rows stand in {options.out}")
+    return exit_code(lambda: run(options), lambda text: print(text, file=sys.stderr), f"rows are in {options.out}")
 
 
 if __name__ == "__main__":

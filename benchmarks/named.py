@@ -1,4 +1,4 @@
-"""Problems of benchmarks by name: those that ship, files, and the peers' cases in any number of waypoints."""
+"""Benchmark problems by name: shipped ones, files, and the peer cases with any number of waypoints."""
 
 from __future__ import annotations
 

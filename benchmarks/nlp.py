@@ -1,4 +1,4 @@
-"""Strategy `sqp` beside `nlp`, its slow reference, on single beads: the price that both minimise, and the time.
+"""Strategy `sqp` compared with `nlp`, its slow reference, on single beads: the price that both minimise, and the time.
 
 python -m benchmarks.nlp
 """

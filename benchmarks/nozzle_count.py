@@ -1,13 +1,13 @@
-"""Whether an upright nozzle would be in what files of waypoints have it lay as struts: counted without planner or robot.
+"""Whether an upright nozzle would be in the struts that waypoint files have it lay: counted without planner or robot.
 
 python -m benchmarks.nozzle_count FOLDER --cell my_cell.yaml --pattern 'npp/*' --set 'cell.nozzle.profile_mm=[[0, 0.25], [150, 0.5]]'
 
-A nozzle is a body of revolution, so that where its axis is given no rotation about it, no table and no posture changes what it
-touches of the print. For every quarter of a millimetre of a path, all that lies before it on the path is looked at, each pair
-by itself: no trees, no bounds, no code of the planner but what reads files and cells. What is asked for is what the planner
-asks for where the problem does not say: no clearance at all beyond the tip's zone, in which a place at distance r from the tip is to
-be r / 4 away from the nozzle, less a quarter of the nozzle's face and two diameters. A file that lacks room here can be printed by
-no arm, with this nozzle and without a lean; for one that does not, this says nothing of arms.
+A nozzle is a body of revolution. Where its axis is given, no rotation about it, no table and no posture changes which parts
+of the print it touches. For every quarter of a millimetre of a path, everything earlier on the path is checked, each pair
+by itself: no trees, no bounds, no code of the planner except what reads files and cells. The required clearance is the
+planner's own if the problem does not set one: none beyond the tip's zone; within it, a place at distance r from the tip must
+be r / 4 away from the nozzle, less a quarter of the nozzle's face and two diameters. If a file lacks clearance here, no arm
+can print it with this nozzle and without a lean; if it does not, this says nothing about arms.
 """
 
 from __future__ import annotations

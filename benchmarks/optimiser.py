@@ -2,7 +2,7 @@
 
 python -m benchmarks.optimiser [--logo OTHER.svg]
 
-All of it takes as long as the largest size of the last part does.
+The whole run takes about as long as the largest size of the last part.
 """
 
 from __future__ import annotations

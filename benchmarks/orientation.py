@@ -1,6 +1,6 @@
-"""How far the published ways of directing the nozzle are off a substrate's normals: median and maximum, in degrees.
+"""How far published methods of directing the nozzle are off a substrate's normals: median and maximum, in degrees.
 
-A mesh's facets are measured too: those of the file, or of a mesh of the ball with facets of some 3 mm.
+A mesh's facets are measured too: those of the file, or of a mesh of the sphere with facets of some 3 mm.
 
 python -m benchmarks.orientation --speed
 python -m benchmarks.orientation --set part.sphere=null --set 'part.mesh={file: part.stl, rpy_deg: [90, 0, 0]}'

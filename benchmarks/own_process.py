@@ -1,7 +1,7 @@
-"""A module in a process of its own, watched: how long it may take, how much memory all its processes hold, how it ends.
+"""A module in its own process, watched: its time limit, the memory of all its processes, and how it ends.
 
-The process leads a group, so that what it starts ends with it; and it ends when whoever watches it is gone, because
-what it reads comes to an end then (`end_with_parent`).
+The process leads a group, so everything it starts ends with it. It ends when its watcher is gone, because its input
+then ends (`end_with_parent`).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The figures of the four papers beside those of the problems that rebuild their prints.
+"""The figures of the four papers next to those of the problems that rebuild their prints.
 
-python -m benchmarks.papers                            what the problems say, and their toolpaths
-python -m benchmarks.papers --paper onstein --solve    the same of one paper, and each problem planned and verified
+python -m benchmarks.papers                            the problems' own figures, and their toolpaths
+python -m benchmarks.papers --paper onstein --solve    the same for one paper, with each problem planned and verified
 
-A figure that a problem does not share has its reason. Exit code 3 where one differs without, or a plan is not verified.
+A figure that differs has its reason. Exit code 3 if one differs without a reason, or a plan is not verified.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Every problem that ships, solved by the command itself: time, errors, and the spacing of its layers.
+"""Every shipped problem, solved by the command itself: time, errors, and the spacing of its layers.
 
 python -m benchmarks.parts
 python -m benchmarks.parts naca0015_wing aerofoil_core --pictures docs/pictures
 
-The tip rule is the nozzle's least distance from part and print where what counts grows with the distance from the tip
-(2 mm are asked), clearance the least distance of anything from anything beyond the tip.
+The tip rule is the nozzle's least distance from part and print where the requirement grows with the distance from the tip
+(2 mm is required); clearance is the least distance between any two bodies beyond the tip.
 
-Spacing is measured on the planned lines alone: from places of a layer to the nearest lines of the layer beneath, along
-the mean of both normals, which on parallel curves is exact up to the square of the angle between them. Where no line
-is nearly beneath, as at trimmed edges and over loose infill, nothing is measured.
+Spacing is measured on the planned lines alone: from places on a layer to the nearest lines of the layer beneath, along
+the mean of both normals. On parallel curves this is exact up to the square of the angle between them. Where no line is
+nearly beneath, as at trimmed edges and over loose infill, nothing is measured.
 """
 
 from __future__ import annotations

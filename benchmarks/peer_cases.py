@@ -1,4 +1,4 @@
-"""The two cases on which installable peers were measured: a spiral on a cap, and a zig-zag around a cylinder.
+"""The two cases on which installable peers are measured: a spiral on a cap, and a zig-zag around a cylinder.
 
 python -m benchmarks.peer_cases --waypoints 10000 --strategy sqp      solves them, one table row each
 python -m benchmarks.peer_cases --write problems                     writes their problem files into a folder

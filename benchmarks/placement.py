@@ -1,10 +1,10 @@
-"""What another place of the part would gain: shipped problems as they stand, and at the best place that is found.
+"""What another place for the part would gain: shipped problems as they are, and at the best place found.
 
 python -m benchmarks.placement
 python -m benchmarks.placement peer_cap curved_plate --maps docs
 
-Each problem is searched, solved and verified by `python -m planner.place` itself, with its defaults. Of long prints in
-layers that repeat only the first layer is taken, as the table says.
+Each problem is searched, solved and verified by `python -m planner.place` itself, with its defaults. For long prints whose
+layers repeat, only the first layer is used, as the table says.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Write the figures of shipped problems into their pages, and into the table of all of them.
 
-python -m benchmarks.problem_pages                        every problem that ships
+python -m benchmarks.problem_pages                        every shipped problem
 python -m benchmarks.problem_pages peer_cap fibre_plane   these
 python -m benchmarks.problem_pages --anew --pictures      plan all again, and draw them again
 
-Plans are taken from out/NAME where they are, and made there where they are not. On a page the lines between
-`<!-- figures: NAME -->` and `<!-- end of figures -->` are written, in the table of all problems its row but for the
-seconds, which `python -m benchmarks.parts` measures; all other text is left as it is.
+Existing plans are taken from out/NAME, and missing ones are made there. On a page, the lines between
+`<!-- figures: NAME -->` and `<!-- end of figures -->` are written; in the table of all problems, the problem's row except
+for the seconds, which `python -m benchmarks.parts` measures. All other text stays as it is.
 """
 
 from __future__ import annotations

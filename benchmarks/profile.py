@@ -2,8 +2,8 @@
 
 python -m benchmarks.profile cylinder_logo
 
-Everything runs in one thread of one process, so that a profiler sees all of it; a compiled kernel counts as the function
-that it is compiled from. The profiler itself costs something at every call from Python, not within kernels.
+Everything runs in one thread of one process, so a profiler sees all of it; a compiled kernel counts as the function that
+it is compiled from. The profiler adds some cost to every call from Python, but none within kernels.
 """
 
 from __future__ import annotations

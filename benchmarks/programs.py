@@ -1,9 +1,9 @@
-"""Programs in RAPID: what they ask of a controller, how near they are to their plans when they are played, and how long
-writing, reading and playing takes.
+"""RAPID programs: what they demand of a controller, how close they stay to their plans when played, and how long writing,
+reading and playing take.
 
 python -m benchmarks.programs [PROBLEM ...] [--set layers.count=1] [--out programs.csv]
 
-With --out both tables are written as one, a row for each program, which `benchmarks.report --programs` takes.
+With --out both tables are written as one, with a row for each program, for `benchmarks.report --programs`.
 """
 
 from __future__ import annotations

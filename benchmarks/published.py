@@ -1,13 +1,13 @@
-"""Waypoint files that others published, all planned on a cell of one's choice: a row of the table for each file.
+"""Waypoint files that others published, all planned on a cell of your choice: a table row for each file.
 
 python -m benchmarks.published FOLDER --cell peer_cap
 python -m benchmarks.published FOLDER --cell my_cell.yaml --pattern 'TOOL_PATH/*.txt' --layers --limit 600
 
-The cell, the process and the settings are those of a problem; what it prints is replaced. Files hold x y z nx ny nz a
-line, and may hold more: fibre curves with further columns, CSV with a header. Units, which axis is up and where normals
-point are told from the numbers unless they are given. Each part is put onto the middle of the bed or table; one that is
-too big for the arm stays as big as it is, unless --scale is given. The column `set` says all that. A file that cannot
-be read, refused or stopped is a row with its reason. The same command goes on where it ended.
+The cell, the process and the settings are those of a problem; its print is replaced. Each line of a file holds
+x y z nx ny nz, and may hold more: fibre curves with further columns, CSV with a header. Units, the axis that is up and the
+direction of normals are found from the numbers unless they are given. Each part is put onto the middle of the bed or table;
+one that is too big for the arm keeps its size, unless --scale is given. The column `set` gives all this. A file that cannot
+be read, is refused or is stopped gets a row with the reason. The same command continues where it ended.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def parser() -> argparse.ArgumentParser:
         type=float,
         default=0.0,
         metavar="MM",
-        help="parts stand so much higher, as on a stub: for sideways normals",
+        help="raise parts by this much, as on a stub: for sideways normals",
     )
     command.add_argument("--unit", choices=("mm", "m"))
     command.add_argument("--up", choices=("x", "y", "z"), help="the files' axis that points up")
@@ -214,7 +214,7 @@ def run(options: argparse.Namespace) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code: 0 even where files gave no plan, for that is what the rows are for."""
     options = parser().parse_args(arguments)
-    stays = f"what is done stands in {options.out}; the same command goes on"
+    stays = f"what is done is in {options.out}; the same command continues"
     return exit_code(lambda: run(options), lambda text: print(text, file=sys.stderr), stays)
 
 

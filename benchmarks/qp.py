@@ -1,4 +1,4 @@
-"""Our own solver of quadratic programs beside OSQP and Clarabel, on those of the logo's hardest beads.
+"""Our own quadratic-program solver compared with OSQP and Clarabel, on the programs of the logo's hardest beads.
 
 python -m benchmarks.qp
 """

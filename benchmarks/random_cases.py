@@ -1,15 +1,15 @@
-"""Random cases by every strategy: whatever any of them verifies, the default verifies, as well at speed and as soon.
+"""Random cases by every strategy: whatever any of them verifies, the default verifies too, as well at speed and as fast.
 
 python -m benchmarks.random_cases --cases 300 --out out/random_cases.jsonl
 python -m benchmarks.random_cases --kinds bed cones --first 20 --cases 10
 python -m benchmarks.random_cases turntable_17 --write out/cases         writes its files, to be solved by planner.solve
 
-The promises: if another strategy verifies a case, the default does (not verified); its share at speed is less by 0.1 %
-of the length at most (slower); its print takes at most 1.02 times as long (longer). With --brute, cases that no
-strategy verifies are searched by brute force, too (minutes for each): where that finds a continuous motion along which
-a plan is verified, nobody should have refused (refused). The exit code is 1 where one of them is broken.
+The promises, each with the name of a breach: if another strategy verifies a case, the default does too (not verified); its
+share at speed is lower by at most 0.1 % of the length (slower); its print takes at most 1.02 times as long (longer). With
+--brute, cases that no strategy verifies are also searched by brute force (minutes for each): if that finds a continuous
+motion along which a plan is verified, the refusal was wrong (refused). The exit code is 1 if a promise is broken.
 
-Cases with a line in the file of --out, of the same strategies, are not run again: what was interrupted goes on, and
+Cases that have a line in the file of --out, for the same strategies, are not run again: an interrupted run continues, and
 another commit needs another file. The last line of a case counts.
 """
 

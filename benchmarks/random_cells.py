@@ -1,7 +1,7 @@
 """Random cases: a cell, a part in it and a path on the part, as a file of waypoints and a problem file.
 
-A case is known by its kind and its number (turntable_17) and is the same on every machine: other kinds, and how many
-cases are made, do not change it. Ranges are such that most parts can be reached, and some cannot.
+A case is identified by its kind and number (turntable_17) and is the same on every machine: other kinds, and the number
+of cases, do not change it. Ranges are chosen so that most parts can be reached, and some cannot.
 """
 
 from __future__ import annotations

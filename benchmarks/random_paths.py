@@ -1,6 +1,6 @@
 """Random paths on random surfaces: waypoints with normals, as somebody else's slicer might hand them over.
 
-Everything is in mm and in a frame of its own: surfaces stand on z = 0 around the z axis, normals out of the material.
+Everything is in mm and in its own frame: surfaces stand on z = 0 around the z axis, with normals out of the material.
 """
 
 from __future__ import annotations

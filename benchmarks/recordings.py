@@ -1,4 +1,4 @@
-"""Recordings as a robot with known limits would make them: jerk-limited moves by ruckig, lag, delay, noise, other clocks."""
+"""Recordings as from a robot with known limits: jerk-limited moves by ruckig, lag, delay, noise, other clocks."""
 
 from __future__ import annotations
 

@@ -1,16 +1,16 @@
-"""How exactly a part is found from noisy contacts, some of them wrong: many misplaced parts, not one lucky one.
+"""How accurately a part is found from noisy contacts, some of them wrong: many misplaced parts, not one lucky one.
 
 python -m benchmarks.registration [--seeds 200] [--noise-mm 0.05] [--picture docs/pictures/registration_bowl.png]
 python -m benchmarks.registration --published --seeds 100 --solve 3
 
-Each seed places the part anew (3 mm and 2 degrees, standard deviation in each freedom), touches it with noise along the
+Each seed displaces the part (3 mm and 2 degrees, standard deviation in each freedom), touches it with noise along the
 normal, and registers it from the problem's own placement. Wrong contacts are 0.5 to 5 mm off, to either side. `refused`
-is the share of seeds whose contacts, the wrong ones left out, say too little; `told` that of the others in which the true
-error of the nozzle's height over all beads is below the bound that was told with 95 % confidence.
+is the share of seeds whose contacts, without the wrong ones, do not suffice. `told` is the share of the others in which
+the true error of the nozzle's height over all beads is below the bound reported with 95 % confidence.
 
 With --published, a cylinder and its table are displaced and touched from one side at nine angles, as Pollard et al. do, and
-go through the command: contacts are written, `register --published` writes the problem, and that is read again; the first
-few are planned and verified, and told is how far the nozzle's height over the real cylinder then is off.
+go through the command: contacts are written, `register --published` writes the problem, and that is read again. The first
+few are planned and verified, and the resulting error of the nozzle's height over the real cylinder is printed.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""How much the link adds to a line's way from the controller to the board, and how many lines a second it relays.
+"""How much time the link adds between controller and board, and how many lines a second it relays.
 
 python -m benchmarks.relay [--rate 1000] [--seconds 5]
 
-The ends stand in a process of their own, on loopback; the board answers at once. Every line is logged, as in a print.
-Beside the relay stands one that only passes lines on, unchecked and unlogged: what the machine takes by itself.
+Both ends run in their own process, on loopback; the board answers at once. Every line is logged, as in a print.
+For comparison, another relay only passes lines on, unchecked and unlogged: this is the machine's own share.
 """
 
 from __future__ import annotations

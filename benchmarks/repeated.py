@@ -1,4 +1,4 @@
-"""A print as long as one likes: a plan's motion many times in a row."""
+"""A print of any length: a plan's motion many times in a row."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Tables and figures of a table of runs: what was claimed and what was verified, how fast, and ours beside the peers.
+"""Tables and figures from a table of runs: what was claimed and what was verified, how fast, and ours next to the peers.
 
 python -m benchmarks.report out/benchmarks/runs.csv
 python -m benchmarks.report runs.csv peers.csv published.csv --programs programs.csv --out benchmarks/results/2026-11-22
 
-Writes report.md and its figures. The same rows give the same report. Of several commits the newest row's counts. Rows of
-`benchmarks.published` and `benchmarks.chen`, whose problems are files of others, are told together for each cell.
+Writes report.md and its figures. The same rows give the same report. Of several commits, the one with the newest row counts.
+Rows of `benchmarks.published` and `benchmarks.chen`, whose problems are files of others, are summarised for each cell.
 """
 
 from __future__ import annotations

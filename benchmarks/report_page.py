@@ -1,4 +1,4 @@
-"""How large report.html is, when its first picture is there, and how long a frame takes.
+"""The size of report.html, the time to its first picture, and the time per frame.
 
 python -m benchmarks.report_page cylinder_logo --times 1 6
 """

@@ -1,4 +1,4 @@
-"""Draw the bodies of all robots that ship, each at the same scale: what collisions are looked for with.
+"""Draw the collision bodies of all shipped robots, each at the same scale.
 
 python -m benchmarks.robots docs/pictures/robots.png
 """

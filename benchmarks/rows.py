@@ -1,7 +1,7 @@
-"""The one table of all benchmarks: its columns, a row of a run whatever became of it, and the file that holds the rows.
+"""The one table of all benchmarks: its columns, a row for each run whatever its outcome, and the file that holds the rows.
 
-A file is CSV with a header; a row is one line, appended whole. What a run of the program leaves half-written when it
-is killed is the last line without its end: it is not read, and cut off before the next row is written.
+A file is CSV with a header; a row is one line, appended whole. A killed run can leave an incomplete last line: it is not
+read, and is cut off before the next row is written.
 """
 
 from __future__ import annotations
@@ -190,7 +190,9 @@ def line_of(values: Sequence[Value]) -> str:
 def check_columns(file: Path) -> None:
     """Raise InputError where rows cannot be appended to a file, which has other columns."""
     if header_of(file) not in (None, COLUMNS):
-        raise InputError("has other columns than this version writes", file=file, line=1, hint="give another file")
+        raise InputError(
+            "does not have the columns that this version writes", file=file, line=1, hint="give another file"
+        )
 
 
 def append_row(file: Path, row: Mapping[str, Value]) -> None:

@@ -1,12 +1,12 @@
-"""Problems and strategies: each planned and verified, a row of one table for each run.
+"""Problems and strategies: each is planned and verified, with one table row per run.
 
 python -m benchmarks.run
 python -m benchmarks.run --problems peer_cap cylinder_logo --strategies ladder sqp --coarse --out quick.csv
 python -m benchmarks.run --problems peer_cap@10000 --set process.speed_mm_s=30 --repeat 3 --limit 600
 
-Each run has a process of its own, and is warmed up for: nothing is compiled while it is measured. A refusal, a crash,
-and a run that takes too long or is killed are rows with their reason. What is interrupted goes on where it ended when
-the command is given again. python -m benchmarks.report FILE.csv makes tables and figures of the rows.
+Each run has its own process and a warm-up: nothing is compiled during a measurement. A refusal, a crash, and a run that
+takes too long or is killed are rows with their reason. To continue an interrupted run, give the same command again.
+python -m benchmarks.report FILE.csv makes tables and figures of the rows.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def told(runs: Sequence[Run], todo: Sequence[Run], rows: Sequence[Row], file: Pa
     others = [row for row in rows if (row["commit"], row["machine"]) != here]
     if others:
         of = ", ".join(dict.fromkeys(str(row["commit"]) for row in others))
-        lines.append(f"{len(others)} rows there are of another commit ({of}): they stay, and are kept apart")
+        lines.append(f"{len(others)} rows in it are of another commit ({of}): they stay, and are reported apart")
     return lines
 
 
@@ -106,14 +106,14 @@ def add_options(command: argparse.ArgumentParser, out: Path) -> None:
     command.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="change a field of all problems; repeatable"
     )
-    command.add_argument("--repeat", type=whole_number, default=1, metavar="N", help="run each so many times")
+    command.add_argument("--repeat", type=whole_number, default=1, metavar="N", help="how many times to run each")
     command.add_argument("--coarse", action="store_true", help="a quick look: a coarse search, one layer")
     command.add_argument(
         "--limit", type=some_seconds, metavar="SECONDS", help="end a run that takes longer, its warm-up included"
     )
     add_spread(command)
     command.add_argument("--out", type=Path, default=out, metavar="FILE.csv", help=f"default: {out}")
-    command.add_argument("--anew", action="store_true", help="run what has a row already, too: the last row counts")
+    command.add_argument("--anew", action="store_true", help="also run what has a row already: the last row counts")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -159,7 +159,7 @@ def fill(work: Callable[[Item], Row], items: Sequence[Item], runs: Sequence[Run]
 
 def ended(what: Callable[[], int], out: Path) -> int:
     """The exit code of a command that fills a table."""
-    stays = f"what is done stands in {out}; the same command goes on"
+    stays = f"what is done is in {out}; the same command continues"
     return exit_code(what, lambda text: print(text, file=sys.stderr), stays)
 
 

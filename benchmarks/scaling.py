@@ -1,10 +1,10 @@
-"""How time and memory grow with the print: a sheet, gently curved, in as many layers as it takes.
+"""How time and memory grow with the print: a gently curved sheet, in as many layers as it takes.
 
 python -m benchmarks.scaling --waypoints 1000 10000 100000 1000000 --out scaling.csv
 
-Each size is planned, verified and written to files in a process of its own, as the command does it: with a second
-process where that helps, and with the baseline. The exponent is that of the power law nearest to the times, in
-logarithms; memory is that of all processes together.
+Each size is planned, verified and written to files in its own process, as the command does it: with a second process
+where that helps, and with the baseline. The exponent is that of the power law fitted to the times, in logarithms;
+memory is that of all processes together.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Prints that are off by known errors, scanned, corrected and verified: how near the nozzle is to where it is to be.
+"""Prints that are off by known errors, scanned, corrected and verified: how close the nozzle is to where it should be.
 
 python -m benchmarks.scan [PRINT …] [--seeds 20] [--picture map.png] [--cloud cloud.xyz]
 
 A layer's top is moved along its normals by a smooth pattern of up to 0.8 mm and sampled as a scanner would: 0.05 mm of noise,
 5 % of the points thrown off by millimetres, holes in 10 % of the area. The map is found from the cloud alone, the layers above
-are planned on it, and the executed tips are held against the true tops.
+are planned on it, and the executed tips are compared with the true tops.
 """
 
 from __future__ import annotations

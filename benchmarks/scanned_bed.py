@@ -1,10 +1,10 @@
-"""Scans of the bowl of fibre_bowl with noise, and how near the planned path comes to the true bowl.
+"""Noisy scans of the bowl of fibre_bowl, and how close the planned path comes to the true bowl.
 
 python -m benchmarks.scanned_bed [--folder DIR]
 
-Points lie on an upright ellipsoid, off it by evenly spread noise of up to 0.3 mm along its normals. The problem is
-fibre_bowl with `part.scan` in place of the ellipsoid; its curves' heights and normals are held against the ellipsoid's.
-With --folder the scans and problems are kept there, to be solved.
+Points lie on an upright ellipsoid, off it by uniform noise of up to 0.3 mm along its normals. The problem is fibre_bowl
+with `part.scan` in place of the ellipsoid; its curves' heights and normals are compared with the ellipsoid's. With
+--folder the scans and problems are kept there, to be solved.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""One run of the table: a problem, warmed up for, planned and verified, its row written as JSON.
+"""One run of the table: a problem, planned and verified after a warm-up, its row written as JSON.
 
 python -m benchmarks.single FILE RUN      RUN: the fields of a `Run` as JSON; benchmarks.run starts it like this
 
-What a run's kernels compile or load from their cache is done before it is measured: the same problem's first beads, cut
-short, are planned by the same strategy first. A run in which a kernel was compiled all the same is measured once more.
+Kernels are compiled or loaded from their cache before the measurement: the same strategy first plans the same problem's
+first beads, cut short. A run in which a kernel is still compiled is measured once more.
 """
 
 from __future__ import annotations

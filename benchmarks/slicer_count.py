@@ -1,7 +1,7 @@
-"""An independent count of what a slicer's file lays: for `benchmarks.slicers`, with code of its own.
+"""An independent count of the beads in a slicer's file: for `benchmarks.slicers`, with its own code.
 
-It shares nothing with the planner's reader: no module, no table, no way of going about it. Arcs are measured by their
-angle, not along chords.
+It shares nothing with the planner's reader: no module, no table, no method. Arcs are measured by their angle, not along
+chords.
 """
 
 from __future__ import annotations

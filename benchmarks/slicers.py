@@ -1,14 +1,14 @@
-"""G-code of slicers, read as a source: a row for each file of a folder, set against an independent count.
+"""G-code of slicers, read as a source: a row for each file in a folder, compared with an independent count.
 
 python -m benchmarks.slicers FOLDER
 python -m benchmarks.slicers FOLDER --set process.bead.width_mm=0.4 --out out/slicers.csv --beads
 
-Each file takes the place of the G-code in the problem planar_gcode, and is read, sorted into layers and sized as it is for
-a plan; --beads rounds its corners and lays the beads as well, which takes a second a metre. `printed_m` is the length of
-all beads before their corners are rounded, `specks_m` and `left_out_m` what is not printed, and `difference_pct` what
-printed and specks together are off `counted_m`, the count of benchmarks.slicer_count. `filament_m` is what all of it takes,
-and `filament_pct` what that is off `said_m`, where the file says it: prime lines in its start code are in `said_m` only. A
-file that is refused has its reason in the last column.
+Each file replaces the G-code in the problem planar_gcode, and is read, sorted into layers and sized as for a plan. --beads
+rounds its corners and lays the beads as well, which takes a second per metre. `printed_m` is the length of all beads before
+their corners are rounded, and `specks_m` and `left_out_m` are lengths not printed. `difference_pct` is how far printed and
+specks together are off `counted_m`, the count of benchmarks.slicer_count. `filament_m` is the filament for all of it, and
+`filament_pct` is how far that is off `said_m`, if the file gives it: prime lines in its start code are in `said_m` only. A
+refused file has its reason in the last column.
 """
 
 from __future__ import annotations

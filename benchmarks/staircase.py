@@ -1,11 +1,11 @@
-"""How far the printed outline of a wing is off its surface, in level layers and in curved ones: numbers and a figure.
+"""How far a wing's printed outline is off its surface, in level and in curved layers: numbers and a figure.
 
 python -m benchmarks.staircase
 python -m benchmarks.staircase --figure docs/pictures/staircase.png
 
-The outline is that of the beads at the middle of the span, each as wide and as high as it is laid; the true surface is
-the section's spline. Distances are taken where layers of both kinds lie on the surface: not at the leading edge, which
-is steeper than the greatest tilt of a curved layer, and not at the trailing edge.
+The outline is that of the beads at mid-span, each as wide and as high as it is laid; the true surface is the section's
+spline. Distances are taken where layers of both kinds lie on the surface: not at the leading edge, which is steeper than
+the greatest tilt of a curved layer, and not at the trailing edge.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Strategies side by side on one problem: what each reaches, as verified, and how long it plans.
+"""Strategies side by side on one problem: the verified result of each, and its planning time.
 
 python -m benchmarks.strategies cylinder_logo --set layers.count=1
 python -m benchmarks.strategies --all
 
-The default stands there with the reference solver of its quadratic programs (OSQP), and with the reference timing
-(toppra, which limits no jerk and so is not verified), too.
+The default is also run with the reference solver for its quadratic programs (OSQP), and with the reference timing (toppra,
+which does not limit jerk and so is not verified).
 
-With --all a quick look at every problem that ships, a search that is coarse and one layer where the file counts layers: the
-share of the length at speed by each strategy but nlp, in Markdown.
+With --all, a quick look at every shipped problem, with a coarse search and one layer where the file sets a layer count: the
+share of the length at speed for each strategy except nlp, in Markdown.
 """
 
 from __future__ import annotations

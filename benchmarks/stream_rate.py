@@ -1,9 +1,9 @@
-"""How many targets a second a streamed program keeps up, by how many a controller's task reads with one message.
+"""How many targets a second a streamed program keeps up, by the number that a controller's task reads per message.
 
 python -m benchmarks.stream_rate [--reading 6.5] [--seconds 4]
 
-The simulated controller does nothing else for so many milliseconds whenever it reads a message, as users report of SocketReceive;
-the moves themselves take as long as targets at the asked rate do.
+The simulated controller does nothing else for the given milliseconds whenever it reads a message, as users report of
+SocketReceive; the moves themselves take as long as targets at the requested rate do.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Rows of runs → results: what repeats of one run have in common, which rows belong together, ours beside the peers'."""
+"""Rows of runs → results: what repeats of one run have in common, which rows belong together, ours next to the peers'."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many targets programs need for their waypoints, and how long a long program takes to write and to read.
+"""How many targets programs need for their waypoints, and how long it takes to write and read a long program.
 
 python -m benchmarks.targets [PROBLEM ...] [--set program.chord_mm=0.02] [--long 180000]
 """

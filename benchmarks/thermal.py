@@ -2,10 +2,10 @@
 
 python -m benchmarks.thermal [PROBLEM …]
 
-Each print is planned without a window first. Its window is told from the median age of what its places are laid on: 0.7 to 1.7
-of it, or to 2.5 where layers cross each other, so that each line lies on old and on fresh ones. The order that travels least
-breaks it, since ages go from nothing to twice the median where it turns about from layer to layer. Then the same joint paths
-get the waits that the least age asks for, and nothing else; and the print is planned anew with the window.
+Each print is first planned without a window. Its window follows from the median interlayer time of its places: 0.7 to 1.7
+of it, or to 2.5 where layers cross each other, because each line then lies on old and on fresh ones. The order that travels
+least breaks the window, since ages range from zero to twice the median where it reverses from layer to layer. Then the same
+joint paths get the waits that the least age requires, and nothing else; and the print is planned again with the window.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 python -m benchmarks.timing cylinder_logo peer_cap --set process.speed_mm_s=30
 
-Bounds of the time of deposition: length / commanded speed, and the time-optimal profile of the same joint paths
-without limits on jerk. Dips and the error of flow over a millimetre of a bead are the plan's own.
+The bounds on the deposition time are length / commanded speed, and the time-optimal profile of the same joint paths
+without jerk limits. Dips and the flow error over a millimetre of a bead are the plan's own.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Contacts as a robot would report them, of a part that is not where the problem has it."""
+"""Contacts as a robot would report them, with a part that is not where the problem places it."""
 
 from __future__ import annotations
 

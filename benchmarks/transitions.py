@@ -1,10 +1,10 @@
-"""Layers that change from one surface into another by each method, compared: how high beads are, how layers lean, how much of
-their length is at speed.
+"""Layers that change from one surface into another, compared by method: the height of beads, the lean of layers, and the share
+of length at speed.
 
 python -m benchmarks.transitions
 
-Two bodies in the cell of saddle_ring: that ring, whose top bends over all of its width, and a block, level below, whose top
-has waves that are short beside its height.
+Two bodies in the cell of saddle_ring: that ring, whose top bends over its full width, and a block, level below, whose top
+has waves that are short compared with its height.
 """
 
 from __future__ import annotations

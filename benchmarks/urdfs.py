@@ -1,9 +1,9 @@
-"""Public URDFs of arms, each added as it was published: is it read, are all branches found, is a print verified?
+"""Public arm URDFs, each added as published: is it read, are all branches found, is a print verified?
 
 python -m benchmarks.urdfs FOLDER [NAME …] [--no-print | --peer-cap]
 
-A row for each .urdf and .xacro file of the folder, or those whose names begin so. Branches are compared with what Newton's
-method finds from many random starts, which knows nothing of the closed forms.
+A row for each .urdf and .xacro file in the folder, or for those whose names begin with a NAME. Branches are compared with
+those that Newton's method finds from many random starts, without the closed forms.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.urdfs", description="Add all URDFs of a folder.")
     parser.add_argument("folder", type=Path, help="where .urdf and .xacro files are")
-    parser.add_argument("names", nargs="*", help="beginnings of the names of those that are wanted")
+    parser.add_argument("names", nargs="*", help="only files whose names begin like this")
     parser.add_argument("--no-print", action="store_true", help="plan nothing")
     parser.add_argument(
         "--peer-cap", action="store_true", help="print what the problem peer_cap does, whatever the reach"

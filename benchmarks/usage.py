@@ -1,4 +1,4 @@
-"""What a run used, and on what it ran: memory and processor time of a process, the machine, the commit."""
+"""What a run used and where it ran: memory and processor time of a process, the machine, the commit."""
 
 from __future__ import annotations
 

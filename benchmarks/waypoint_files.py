@@ -1,7 +1,7 @@
-"""Files of waypoints that others published, as they come: what they seem to mean, and where a part of theirs is put.
+"""Waypoint files that others published, as they are: their likely meaning, and where their part is put.
 
-Nobody states units, axes or the normals' sense in such a file; they are told from the numbers, and said in words so
-that a wrong guess can be seen and put right.
+Such files do not state units, axes or the normals' sense. These are found from the numbers and put into words, so a
+wrong guess can be seen and corrected.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How far apart waypoints, passes and layers of a file lie, in its own unit, and which unit that speaks for."""
+"""The spacing of a file's waypoints, passes and layers, in its own unit, and the unit that it suggests."""
 
 from __future__ import annotations
 

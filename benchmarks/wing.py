@@ -1,4 +1,4 @@
-"""The wing's layers beside the figures of Arigela et al.: their number, the length of each, and the time of the print.
+"""The wing's layers compared with the figures of Arigela et al.: their number, the length of each, and the print time.
 
 python -m benchmarks.wing
 python -m benchmarks.wing naca0015_wing_tapered
@@ -6,13 +6,13 @@ python -m benchmarks.wing --flow --set layers.count=2 --set layers.support=null
 python -m benchmarks.wing --cases
 python -m benchmarks.wing --cases "case 2"
 
-The time is length / commanded speed: what dips and travel add stands in the summary of `python -m planner.solve`.
+The time is length / commanded speed: the summary of `python -m planner.solve` gives what dips and travel add.
 
-With --flow the print is planned, with its passes joined as one zig-zag and with each a bead of its own, and what a motor
-that is only on or off lays by the millimetre is told of both.
+With --flow the print is planned twice, with its passes joined as one zig-zag and with each as its own bead. For both, the
+command prints how much a motor that is only on or off lays per millimetre.
 
-With --cases the straight wing is planned in the paper's three conventional ways, too (its figures 6 to 8), with a motor that
-follows the speed, and a table in Markdown sets them beside the curved layers; with names of cases, of these alone.
+With --cases the straight wing is also planned in the paper's three conventional ways (its figures 6 to 8), with a motor that
+follows the speed, and a Markdown table compares them with the curved layers; with names of cases, only these.
 """
 
 from __future__ import annotations

@@ -6,11 +6,12 @@
     print(plan.summary())
     write(plan, "out/cylinder_logo")
 
-`load` reads a problem, `solve` makes a `Plan` of a `Problem` with one of `STRATEGIES`, `write` writes its files.
-`solve_all` solves many.
-`Toolpath.from_arrays` makes waypoints of arrays, which `load(..., toolpath=...)` has printed.
-`register_strategy` has a strategy of one's own stand beside them.
-`add_robot` makes a robot's file from its URDF or its model in Pinocchio. `OwnTerm` says how a term of one's own joins what the refinement weighs.
+`load` reads a problem, `solve` plans a `Problem` with one of the `STRATEGIES` and returns a `Plan`, `write` writes its
+files. `solve_all` solves many problems.
+`Toolpath.from_arrays` makes waypoints from arrays, to be printed with `load(..., toolpath=...)`.
+`register_strategy` adds a strategy of your own to `STRATEGIES`.
+`add_robot` makes a robot file from a URDF or a Pinocchio model. `OwnTerm` describes a cost term of your own that is
+added to those of the refinement.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ __all__ = [
     "show", "solve", "solve_all", "write",
 ]  # fmt: skip
 
-# Public name → module that holds it. Read when first asked for: every command imports this package, and is quick.
+# Public name → module that holds it, imported on first access: every command imports this package, and has to be quick.
 _HOMES = {
     "STRATEGIES": "planner.resolve.strategies",
     "Cell": "planner.cell.cell",

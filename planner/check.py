@@ -1,4 +1,4 @@
-"""Read a problem and all that it names, without planning it."""
+"""Read a problem and all files that it names, without planning it."""
 
 from planner.base.launch import end, launch
 

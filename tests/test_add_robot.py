@@ -61,7 +61,7 @@ def test_a_file_that_is_there_is_kept_with_what_was_changed_in_it(urdf: Path, tm
     assert add_robot(urdf, file) == file and file.read_text() == text
     other = tmp_path / "other.urdf"
     other.write_text(KR10, encoding="utf-8")
-    with pytest.raises(OutputError, match="is of another robot"):
+    with pytest.raises(OutputError, match="describes another robot"):
         add_robot(other, file)
 
 
@@ -95,7 +95,7 @@ def test_a_model_of_pinocchio_moves_as_its_urdf(urdf: Path, tmp_path: Path) -> N
     np.testing.assert_allclose(one.model.velocityLimit, other.model.velocityLimit)
     assert [len(each) for each in one.bodies] == [len(each) for each in other.bodies]
     assert add_robot(model, file, bodies=bodies) == file
-    with pytest.raises(OutputError, match="is not of this model"):
+    with pytest.raises(OutputError, match="does not describe this model"):
         add_robot(model, file)  # without its bodies
     with pytest.raises(InputError, match="only xacro files have arguments"):
         add_robot(model, tmp_path / "asked.yaml", arguments={"name": "of_model"})
@@ -118,13 +118,13 @@ def test_a_model_with_joints_about_any_axis_and_endless_ones(tmp_path: Path) -> 
     [
         ("urdf", {"tip": "tool"}, "no link 'tool' (did you mean tool0?)"),
         ("nowhere.urdf", {}, "nowhere.urdf"),
-        ("urdf", {"file": "mine.txt"}, "file: mine.txt is no name of a robot's file (for example my_robot.yaml)"),
+        ("urdf", {"file": "mine.txt"}, "file: mine.txt is not a name for a robot file (for example my_robot.yaml)"),
         ("urdf", {"language": "krll"}, "language: there is no language 'krll' (did you mean krl?)"),
         ("urdf", {"bodies": 3}, "bodies: a URDF has bodies of its own"),
         (3.5, {}, "urdf: must be a URDF or a model of Pinocchio, not of type float"),
         ("model", {"bodies": "all"}, "bodies: must be a GeometryModel, not of type str"),
         ("manipulator", {}, "no arm of six or seven axes"),
-        ("free", {}, "urdf: joint root_joint moves in 6 ways"),
+        ("free", {}, "urdf: joint root_joint has 6 degrees of freedom"),
     ],
 )
 def test_what_is_no_robot_is_said(

@@ -87,8 +87,8 @@ BAD = [
     ([*SELIG[:4], " 0.5", *SELIG[4:]], 5, "two numbers"),
     ([*SELIG[:4], " 0.1 0.2 0.3", *SELIG[4:]], 5, "here are 3 words"),
     ([*SELIG[:4], " 0.1 up", *SELIG[4:]], 5, "'up' is not a number"),
-    ([*SELIG[:4], "by someone", *SELIG[4:]], 5, "is no point, but points follow"),
-    ([*SELIG[:4], "a b c", "1 2 3", "", *SELIG[4:]], 5, "is no point, but points follow"),
+    ([*SELIG[:4], "by someone", *SELIG[4:]], 5, "is not a point, but points follow"),
+    ([*SELIG[:4], "a b c", "1 2 3", "", *SELIG[4:]], 5, "is not a point, but points follow"),
     ([*SELIG, " 1.O 0.0"], 13, "'1.O' is not a number"),  # a slip in the last point is not taken for words
     ([*SELIG, " 1.0 (0.0)"], 13, "'(0.0)' is not a number"),
     ([*SELIG, " 1.0 0.0 0.0"], 13, "here are 3 words"),

@@ -80,7 +80,7 @@ def test_solve_takes_what_load_takes(tmp_path: Path, monkeypatch: pytest.MonkeyP
         ({"strategy": "%"}, "strategies: as_published"),
         ({"dt": 0.0}, "dt: 0.0 is not a time between 0.0005 and 0.02 s"),
         ({"dt": float("nan")}, "dt: nan is not a time"),
-        ({"tolerance": "2 furlongs"}, "tolerance: '2 furlongs' is no tolerance"),
+        ({"tolerance": "2 furlongs"}, "tolerance: '2 furlongs' is not a tolerance"),
     ],
 )
 def test_wrong_arguments_are_said(wrong: dict[str, float | str], message: str) -> None:

@@ -472,7 +472,7 @@ IRB140 = (ROBOTS / "irb140.yaml").read_text(encoding="utf-8")
         (UR5, ("offset_wrist", "ofset_wrist"), "inverse_kinematics", "known: spherical_wrist"),
         (UR5, ("offset_wrist", "seven_axes"), "inverse_kinematics", "redundant_joint"),
         (UR5, ("inverse_kinematics: offset_wrist", "redundant_joint: a\ninverse_kinematics: offset_wrist"),
-         "redundant_joint", "and no other"),
+         "redundant_joint", "only such an arm"),
         (UR5, ("robots/ur_description/urdf/ur5_robot", "robots/kinova_description/robots/kinova"), "tip", "no link"),
         (PANDA, ("redundant_joint: panda_joint7", "redundant_joint: panda_joint3"), "inverse_kinematics", "joint 7"),
         (PANDA, ("redundant_joint: panda_joint7", "redundant_joint: panda_joint8"), "redundant_joint", "panda_joint7"),

@@ -287,7 +287,7 @@ FOUND: dict[str, tuple[str, str, str, str]] = {
     "URScript, output at the start": ("urscript", r"  set_standard_digital_out\(1, False\)\n(?=  movej)", "", "other outputs"),
     "URScript, output at the end": ("urscript", r"out\(1, False\)(?=\s*end\s*\Z)", "out(2, False)", "other outputs"),
     "FANUC, configuration on the way": ("fanuc", r"(?<=P\[{via}\]\{{\n   GP1:\n\tUF : 9, UT : 9,\t\tCONFIG : ')N", "F", "CONFIG differs"),
-    "FANUC, orientation on the way": ("fanuc", r"(?s)(P\[{via}\]\{{.*?W =  )  90", r"\g<1>  91", "orientations on the way"),
+    "FANUC, orientation on the way": ("fanuc", r"(?s)(P\[{via}\]\{{.*?W =  )  90", r"\g<1>  91", "orientations at via points"),
     "FANUC, an arc without a way": ("fanuc", r"C P\[{via}\]( +\n +: +)P\[({end})\]", r"C P[\2]\1P[\2]", "bent differs"),
     "URScript, a stop in travel": ("urscript", r"(movej.*), r=0\.00[0-9]+\)", r"\1, r=0)", "stops elsewhere"),
     "FANUC, no stop at the start": ("fanuc", r"(J P\[1\] \d+%) FINE", r"\1 CNT100", "stops elsewhere"),

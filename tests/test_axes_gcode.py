@@ -501,24 +501,27 @@ def test_tools_are_changed_at_rest_at_home() -> None:
     assert axes_differences(plan, text) == [] and unsupported_in_axes(plan) is None
     assert [line for line in text.splitlines() if line.startswith("T")] == ["T1", "T0"]
     spoilt = text.replace("\nT0\n", "\nT1\n")
-    assert any("other things are said" in each for each in axes_differences(plan, spoilt))
+    assert any("there are other orders" in each for each in axes_differences(plan, spoilt))
     program = plan.problem.program.model_copy(update={"machine": spec("fork")})
     plan = replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"program": program}))  # type: ignore[arg-type]
-    assert "T0 cannot be said to linuxcnc" in str(unsupported_in_axes(plan))
+    assert "T0 cannot be sent to linuxcnc" in str(unsupported_in_axes(plan))
 
 
 def test_what_runs_taught_of_the_robot_is_refused_for_another_machine() -> None:
     plan = make_plan()
     program = plan.problem.program.model_copy(update={"machine": spec("trunnion")})
     taught = vars(plan.problem) | {"program": program, "as_run": object()}
-    assert "another one" in str(unsupported_in_axes(replace(plan, problem=SimpleNamespace(**taught))))  # type: ignore[arg-type]
+    assert "another machine" in str(unsupported_in_axes(replace(plan, problem=SimpleNamespace(**taught))))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ("process.fibre={cut_length_mm: 12, cut_code: [M280 P0 S9]}", "M280 P0 S9 cannot be said to linuxcnc"),
-        ("cell.positioner.free=[tilt, rotation]", "U pushes filament, and moves the part"),
+        ("process.fibre={cut_length_mm: 12, cut_code: [M280 P0 S9]}", "M280 P0 S9 cannot be sent to linuxcnc"),
+        (
+            "cell.positioner.free=[tilt, rotation]",
+            "U is the letter both of the filament and of an axis that moves the part",
+        ),
     ],
 )
 def test_what_cannot_be_said_is_refused_before_all_is_planned(change: str, says: str) -> None:
@@ -655,9 +658,9 @@ def test_the_way_to_the_first_place_goes_no_higher_than_the_machine() -> None:
         (
             "trunnion",
             {"greatest_mm": (500, 28.0, 500)},
-            r"Y would have to stand at 28.* mm, its limits are -inf and 28",
+            r"Y would have to be at 28.* mm; its limits are -inf and 28",
         ),
-        ("fork", {"least_mm": (-60, -500, 0), "tcp": True}, r"X would have to stand at -60.* mm, its limits are -60"),
+        ("fork", {"least_mm": (-60, -500, 0), "tcp": True}, r"X would have to be at -60.* mm; its limits are -60"),
         ("nutating", {"rotary": (axis("B", (0, 0.2, 1)), axis("C", Z))}, "no angles of its axes give the nozzle's"),
     ],
 )
@@ -677,17 +680,17 @@ def test_what_a_machine_cannot_do_is_refused_with_bead_and_place(name: str, chan
         ("{flavour: linuxncn, type: robot}", "did you mean linuxcnc?"),
         ("{flavour: reprap, type: robot}", "reprap has no kinematics"),
         ("{flavour: linuxcnc, type: robot, tcp: true}", "a robot has no rotary axes"),
-        ("{flavour: linuxcnc, type: robot, extruder: A}", "linuxcnc does not push filament with A"),
+        ("{flavour: linuxcnc, type: robot, extruder: A}", "linuxcnc has no filament axis A"),
         ("{flavour: linuxcnc, type: robot, tcp_on: M428 ; M2 now}", "must be words of G-code"),
         (
             "{flavour: reprap, type: head_head, rotary: [{letter: C, direction: [0, 0, 1]}, "
             "{letter: B, direction: [0, 1, 0]}], least_mm: [0, 0, 0], greatest_mm: [100, 0, 100]}",
-            "Y has no room between least_mm and greatest_mm",
+            "Y has no range: least_mm is not below greatest_mm",
         ),
         (
             "{flavour: linuxcnc, type: head_head, rotary: [{letter: U, direction: [0, 0, 1]}, "
             "{letter: B, direction: [0, 1, 0]}]}",
-            "linuxcnc does not turn U",
+            "linuxcnc has no rotary axis U",
         ),
         (
             "{flavour: reprap, type: head_head, rotary: [{letter: B, direction: [0, 0, 1]}, "

@@ -284,7 +284,7 @@ def test_a_path_beneath_another_pass_is_named_with_its_line(lower: float, tmp_pa
         return
     with pytest.raises(InputError) as caught:
         build_toolpath(problem)
-    assert f"path 2 runs {lower - 0.5:.2f} mm deep in what another pass lies on" in caught.value.reason
+    assert f"path 2 runs {lower - 0.5:.2f} mm deep inside what another pass lies on" in caught.value.reason
     assert caught.value.line == 13 + 7
 
 

@@ -145,10 +145,12 @@ def test_of_several_topics_one_is_to_be_named(tmp_path: Path) -> None:
     time, q = short(cell)
     topics = {f"/{side}/states": messages(cell.joint_names, time, q + k) for k, side in enumerate(("left", "right"))}
     path = bag_of(tmp_path, "sqlite3", topics)
-    with pytest.raises(InputError, match=r"joints are in /left/states, /right/states \(name one of them\)"):
+    with pytest.raises(
+        InputError, match=r"several topics have joints: /left/states, /right/states \(name one of them\)"
+    ):
         read_log(path, cell)
     np.testing.assert_allclose(read_log(path, cell, topic="/right/states").executed, q + 1, atol=1e-12)
-    with pytest.raises(InputError, match="has no joint states /middle"):
+    with pytest.raises(InputError, match="has no joint states in /middle"):
         read_log(path, cell, topic="/middle")
 
 
@@ -165,7 +167,7 @@ def _back(time: Array, q: Array) -> tuple[Array, Array]:
 @pytest.mark.parametrize(
     ("change", "names", "said"),
     [
-        (_nan, None, r":6: a message has a place that is no finite number"),
+        (_nan, None, r":6: a message has a position that is not a finite number"),
         (_back, None, "the clock runs back by 0.096 s"),
         (None, ("a", "b", "c", "d", "e", "f"), "its joints are a, b, c, d, e, f"),
         (None, ("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "j6x"), "no column has joint_6"),
@@ -194,7 +196,7 @@ def test_a_bag_without_joints_says_what_it_has(tmp_path: Path) -> None:
 def test_commands_alone_are_refused(tmp_path: Path) -> None:
     _, cell = cell_of("peer_cap")
     path = bag_of(tmp_path, "bag", {"/joint_command": messages(cell.joint_names, *short(cell))})
-    with pytest.raises(InputError, match="what joints were told, and not where they were"):
+    with pytest.raises(InputError, match="it has commanded joints, but not the executed ones"):
         read_log(path, cell)
 
 

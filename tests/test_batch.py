@@ -56,7 +56,7 @@ def test_several_processes_do_the_same(tmp_path: Path) -> None:
         (["peer_cap", 3], {}, "problems[1]: is of type int (a file, a shipped name"),
         ([], {"jobs": 0}, "jobs: 0 is not a number of processes (1 to 256)"),
         ([], {"jobs": 2.0}, "jobs: 2.0 is not a number of processes"),
-        ([], {"jobs": 2, "terms": [object()]}, "terms: other processes cannot ask terms of this one (jobs=1)"),
+        ([], {"jobs": 2, "terms": [object()]}, "terms: cannot be evaluated in other processes (jobs=1)"),
         ([], {"jobs": 2, "strategy": "mine"}, "strategy: other processes do not know 'mine' (jobs=1)"),
     ],
 )

@@ -46,7 +46,7 @@ def test_all_limits_say_unit_and_reason() -> None:
 def test_what_a_refusal_says() -> None:
     limit = budgets.Limit(10, "corners", "each takes a second")
     limit.check(10, "it has", InputError)
-    with pytest.raises(InputError, match=r"it has 11 corners; at most 10 are taken \(fewer\)"):
+    with pytest.raises(InputError, match=r"it has 11 corners; at most 10 are allowed \(fewer\)"):
         limit.check(11, "it has", InputError, "fewer")
 
 
@@ -88,7 +88,7 @@ def test_many_curves_are_measured_and_not_laid(tmp_path: Path) -> None:
 def test_the_check_says_what_planning_takes(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["peer_cap"]) == 0
     assert re.search(
-        r"planning +1,\d\d\d waypoints in all; to plan them takes about \d+ s and 0\.4 GB", capsys.readouterr().out
+        r"planning +1,\d\d\d waypoints in all; planning them takes about \d+ s and 0\.4 GB", capsys.readouterr().out
     )
 
 
@@ -199,7 +199,7 @@ def test_what_is_laid_is_counted_whatever_its_source(monkeypatch: pytest.MonkeyP
     check_laid(problem, toolpath)
     for name, most in (("WAYPOINTS", 100), ("BALLS", 10)):
         few(monkeypatch, workload, name, most)
-        with pytest.raises(InputError, match=f"at most {most} are taken"):
+        with pytest.raises(InputError, match=f"at most {most} are allowed"):
             check_laid(problem, toolpath)
         monkeypatch.undo()
 
@@ -241,7 +241,7 @@ def test_memory_is_that_of_the_cluster_s_job(tmp_path: Path, monkeypatch: pytest
 def test_more_memory_than_there_is_is_refused_before_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model, "memory", lambda: 480e6)
     with pytest.raises(
-        InputError, match=r"need about 1\.\d GB, and 0\.5 GB are there .*what would fit: 1 of its 10 layers"
+        InputError, match=r"need about 1\.\d GB, but only 0\.5 GB are available .*what would fit: 1 of its 10 layers"
     ):
         solve("cylinder_logo", "ladder")
     work = Workload(10, 10, 100_000, 1.0, 1_000)

@@ -124,7 +124,7 @@ def test_the_least_time_of_a_layer_is_told_and_of_a_single_layer_none() -> None:
         ("  speeds: 20\n", "process.speeds", "must be a list", "other speeds"),
         ("  speeds: [{speed_mm_s: 20}, {speed_mm_s: 0}]\n", "process.speeds.speed_mm_s", "0", "0.1 to 2000"),
         ("  speeds: [{speed_mm_s: 201}]\n", "process.travel_speed_mm_s", "travel_speed_mm_s is 200, below a speed_mm_s of 201", "run-ins"),
-        ("  layer_time: {}\n", "process.layer_time.least_s", "is missing", "time from a layer's beginning"),
+        ("  layer_time: {}\n", "process.layer_time.least_s", "is missing", "least time from a layer's start"),
         ("  layer_time: {least_s: 9, slowest_mm_s: 41}\n", "process.layer_time", "slowest_mm_s is 41", "a lower one"),
         ("  pauses: [{before_layer: 1, wait_s: 3}]\n", "process.pauses.before_layer", "1", "2 to 100000"),
         ("  pauses: [{before_layer: 2, wait_s: 3}, {before_layer: 2, wait_s: 4}]\n", "process.pauses", "two pauses before layer 2", "one of them"),
@@ -495,17 +495,17 @@ def test_walls_or_infill_of_a_mesh_come_first_as_asked() -> None:
 @pytest.mark.parametrize("override", ["process.seam={towards: [0, 0, 1]}", "process.order=['*infill*']"])
 @pytest.mark.parametrize("problem", ["planar_gcode", "peer_cap", "shoehorn"])
 def test_what_a_source_says_already_cannot_be_asked_for(problem: str, override: str) -> None:
-    with pytest.raises(InputError, match="in this source already"):
+    with pytest.raises(InputError, match="by this source already"):
         build_toolpath(load_problem(problem, [override]))
 
 
 @pytest.mark.parametrize(
     ("process", "reason"),
     [
-        ("  seam: {}\n", "give one of near_mm and towards"),
-        ("  seam: {near_mm: [0, 0, 0], towards: [0, 0, 1]}\n", "give one of near_mm and towards"),
+        ("  seam: {}\n", "give either near_mm or towards"),
+        ("  seam: {near_mm: [0, 0, 0], towards: [0, 0, 1]}\n", "give either near_mm or towards"),
         ("  seam: {towards: [0, 0, 0]}\n", "must not be the zero vector"),
-        ("  order: [ring, ring]\n", "stands in the list twice"),
+        ("  order: [ring, ring]\n", "appears twice in the list"),
     ],
 )
 def test_seams_and_orders_that_cannot_be(process: str, reason: str) -> None:
@@ -582,8 +582,8 @@ def test_travel_that_is_upright_rises_along_the_normal_before_it_goes_across() -
 @pytest.mark.parametrize(
     ("process", "reason"),
     [
-        ("  travel: upright\n  hand_over: motion\n", "hand_over is motion, and travel upright"),
-        ("  travel: quickest\n  fibre: {cut_length_mm: 5}\n", "travel is quickest, and there is fibre"),
+        ("  travel: upright\n  hand_over: motion\n", "hand_over is motion, but travel is upright"),
+        ("  travel: quickest\n  fibre: {cut_length_mm: 5}\n", "travel is quickest, but there is fibre"),
         ("  travel: straight\n", "unknown name 'straight'"),
     ],
 )

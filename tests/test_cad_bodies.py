@@ -106,7 +106,7 @@ def test_a_body_from_cad_is_filled_with_layers(tmp_path: Path) -> None:
     [
         (b"ISO-10303-21;\nHEADER;\n", "its end is missing"),
         (b"ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\nENDSEC;\nEND-ISO-10303-21;\n", "holds no body|is damaged"),
-        (b"nothing of the kind", "is no STEP file"),
+        (b"nothing of the kind", "is not a STEP file"),
     ],
 )
 def test_files_that_hold_no_body(tmp_path: Path, data: bytes, reason: str) -> None:

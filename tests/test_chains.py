@@ -72,7 +72,7 @@ def test_a_file_that_is_another_one_elsewhere_is_told(tmp_path: Path, change: tu
     tasks = tasks_of(problem, toolpath)
     digest = digest_of(problem, cell, toolpath, tasks)
     file = write_small(tmp_path, change)
-    with pytest.raises(InputError, match=r"small\.yaml.* is not the same for a worker"):
+    with pytest.raises(InputError, match=r"small\.yaml.* differs on a worker"):
         context_elsewhere(str(file), (), digest)
     assert digest != digest_of(problem, cell, toolpath, [replace(tasks[0], tip=tasks[0].tip + 1e-9), *tasks[1:]])
 

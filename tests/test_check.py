@@ -52,7 +52,7 @@ def test_what_a_problem_says(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         "ABB IRB 140-6/0.8 (irb140)",
         "ABB IRBP A250 (irbp_a250); free: rotation; held: tilt at 0 deg",
         "cylinder (radius_mm 34; height_mm 100; centre_mm [31.4, 37])",
-        "1 bead, 0.08 m, 2 s at 40 mm/s, of the first layer alone",
+        "1 bead, 0.08 m, 2 s at 40 mm/s, in the first layer alone",
         "its outline is assumed",
         "assumed of ABB IRB 140-6/0.8",
     ):
@@ -71,7 +71,7 @@ def test_the_time_to_plan_is_that_at_the_speeds_of_beads(tmp_path: Path, capsys:
     assert main([str(own(tmp_path)), "--toolpath", "--set", speeds]) == 0
     work = examine(load_problem(own(tmp_path), [speeds]), True).work
     assert work is not None
-    assert f"to plan them takes {estimate(work, 1e-3, DEFAULT_DT).words}" in capsys.readouterr().out
+    assert f"planning them takes {estimate(work, 1e-3, DEFAULT_DT).words}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_the_time_to_plan_is_that_with_rests(
     assert main([str(own(tmp_path)), "--set", waits, *more]) == 0
     work = examine(load_problem(own(tmp_path), [waits]), bool(more)).work
     assert work is not None
-    assert f"to plan them takes {estimate(work, 0.04, DEFAULT_DT, resting).words}" in capsys.readouterr().out
+    assert f"planning them takes {estimate(work, 0.04, DEFAULT_DT, resting).words}" in capsys.readouterr().out
 
 
 def test_a_bead_too_short_for_its_fibre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,7 +167,7 @@ CURVES = '{"curves": [{"degree": 1, "points_mm": [[-10, 0], [10, 0]]}]}'
 @pytest.mark.parametrize(
     ("section", "text", "bad"),
     [
-        ("as_printed={{map: {}, after_layer: 1, most_mm: 0.05, smoothing_mm: 5}}", MAP, "is no height map"),
+        ("as_printed={{map: {}, after_layer: 1, most_mm: 0.05, smoothing_mm: 5}}", MAP, "is not a height map"),
         ("as_run={{corrections: {}, most_mm: 1}}", SHIFTS, "holds no corrections"),
     ],
     ids=["map", "corrections"],
@@ -194,7 +194,7 @@ def test_curves_on_a_slow_body_are_read(tmp_path: Path) -> None:
 
 def test_an_order_that_a_source_has_already_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["planar_gcode", "--set", "process.order=['path*']"]) == 2
-    assert "the order of beads stands in this source already" in capsys.readouterr().err
+    assert "the order of beads is fixed by this source already" in capsys.readouterr().err
 
 
 def test_most_that_ships_is_laid_at_once() -> None:

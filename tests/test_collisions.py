@@ -440,7 +440,7 @@ def test_a_start_posture_in_a_table_is_refused_before_anything_is_planned(tmp_pa
     corners = placed(cell, "link_4 (forearm)", cell.home)[1]
     centre = corners.mean(axis=0)
     problem, cell = scene(tmp_path, ELSEWHERE + WALL % ("30, 30, 30", millimetres(centre)))
-    with pytest.raises(InputError, match=r"wall and link_4 \(forearm\) are [0-9.]+ mm into each other") as caught:
+    with pytest.raises(InputError, match=r"wall and link_4 \(forearm\) are [0-9.]+ mm inside each other") as caught:
         check_start(problem, cell)
     assert caught.value.field == "cell.home_deg"
     near = np.array([centre[0], centre[1], corners[:, 2].min() - 0.018])

@@ -145,7 +145,7 @@ def test_what_is_called_by_its_address_takes_arrays_in_order_alone() -> None:
     def call(address, values):
         call_at(address, (values, values.size))
 
-    with pytest.raises(errors.TypingError, match="C's order"):
+    with pytest.raises(errors.TypingError, match="in C order"):
         call(1, np.zeros(8)[::2])
 
 

@@ -355,7 +355,7 @@ def test_a_middle_that_ends_too_soon_is_refused(tmp_path: Path) -> None:
 def test_the_command_ends_with_two_and_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["aerofoil_core", "--set", "layers.up_to.z_mm=30", "--out", str(out)]) == 2
-    assert "room for no layer" in capsys.readouterr().err
+    assert "no room for a layer" in capsys.readouterr().err
     assert not out.exists()
 
 

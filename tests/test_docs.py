@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 import shlex
 from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 PICTURE = re.compile(r"!\[([^\]]*)\]\(")
 FILE = re.compile(r"`((?:planner|benchmarks)/[\w/]+(?:\.\w+)?)`")
 API = re.compile(r"^::: ([\w.]+)\.(\w+)$", re.MULTILINE)
+ENTRY = re.compile(r"^ {4}(\*{0,2}\w+): \S", re.MULTILINE)  # of a section in a docstring
 FENCED = re.compile(r"^```.*?^```|<!--.*?-->", re.MULTILINE | re.DOTALL)
 SCRIPT = re.compile(r"(?:^ {4}|`)beadwise ([a-z]+)([^`\n]*)", re.MULTILINE)
 COMMAND = re.compile(r"python(?:3\.11)? -m ((?:planner|benchmarks)(?:\.\w+)*)([^`\n]*)")
@@ -116,6 +119,38 @@ def test_the_page_of_python_names_what_there_is() -> None:
     assert len(named) > 15
     for module, name in named:
         assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
+
+
+def entries(documented: Any, section: str) -> list[str]:
+    """Names under a heading of a docstring in Google style."""
+    found = re.search(rf"^{section}:\n((?: {{4}}.*\n|\n)+)", f"{inspect.getdoc(documented)}\n", re.MULTILINE)
+    return ENTRY.findall(found[1]) if found else []
+
+
+def public_fields(kind: type) -> list[str]:
+    """Those of a dataclass or a named tuple; none of any other class."""
+    each = [field.name for field in fields(kind)] if is_dataclass(kind) else getattr(kind, "_fields", ())
+    return [name for name in each if not name.startswith("_")]
+
+
+def parameters(function: Any) -> list[str]:
+    """Names as in a signature, with their stars."""
+    stars = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
+    each = inspect.signature(function).parameters.values()
+    return [stars.get(one.kind, "") + one.name for one in each if one.name not in ("self", "cls")]
+
+
+@pytest.mark.parametrize(("module", "name"), API.findall((DOCS / "reference" / "api.md").read_text(encoding="utf-8")))
+def test_docstrings_of_the_reference_list_parameters_and_fields(module: str, name: str) -> None:
+    found = getattr(importlib.import_module(module), name)
+    functions = {name: found} if inspect.isfunction(found) else {}
+    if inspect.isclass(found):
+        if each := public_fields(found):
+            assert entries(found, "Attributes") == each, name
+        functions = {key: getattr(found, key) for key in vars(found) if key[0] != "_" or key == "__call__"}
+    for key, function in functions.items():
+        if inspect.isroutine(function):
+            assert entries(function, "Args") == parameters(function), f"{name}.{key}"
 
 
 @pytest.mark.parametrize("name", names(PAGES))

@@ -93,16 +93,16 @@ def test_a_short_wait_shortens_the_pauses_and_own_code_is_said_as_it_stands() ->
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ("process.fibre={cut_length_mm: 9, cut_wait_s: 1, cut_code: [G4 P1001]}", "take 1.001 s, and cut_wait_s is 1"),
-        ("process.fibre={cut_length_mm: 9, cut_code: [G1 E5]}", "'G1 E5' cannot stand here"),
-        ("process.fibre={cut_length_mm: 9, cut_code: [M106 P0 S1 G1 E5]}", "'M106 P0 S1 G1 E5' cannot stand here"),
+        ("process.fibre={cut_length_mm: 9, cut_wait_s: 1, cut_code: [G4 P1001]}", "take 1.001 s, but cut_wait_s is 1"),
+        ("process.fibre={cut_length_mm: 9, cut_code: [G1 E5]}", "'G1 E5' cannot be used here"),
+        ("process.fibre={cut_length_mm: 9, cut_code: [M106 P0 S1 G1 E5]}", "'M106 P0 S1 G1 E5' cannot be used here"),
         (
             "process.fibre={cut_length_mm: 9, cut_wait_s: 1, cut_code: [M106 P0 S1 G4 P700 M106 P0 S0 G4 P400]}",
-            "take 1.1 s, and cut_wait_s is 1",
+            "take 1.1 s, but cut_wait_s is 1",
         ),
-        ("process.fibre={cut_length_mm: 9, cut_code: [M112]}", "'M112' cannot stand here"),
+        ("process.fibre={cut_length_mm: 9, cut_code: [M112]}", "'M112' cannot be used here"),
         ("process.fibre={cut_length_mm: 9, cut_code: []}", "must be 1 to 20 lines, not 0"),
-        ("process.start={heat: wait}", "heat is wait, and there is no temperature"),
+        ("process.start={heat: wait}", "heat is wait, but no temperature is given"),
         ("process.start={heat: wiat, bed_c: 60}", "did you mean wait?"),
         ("process.fan={from_layer: 0}", "too small"),
     ],
@@ -117,19 +117,19 @@ def test_the_temperature_of_a_material_can_be_waited_for() -> None:
     materials = "process.materials={{pla: {{{}}}, pva: {{}}}}"
     changes = ["process.start={heat: wait}", materials.format("nozzle_c: 205")]
     assert load_problem(small_problem().file, changes).process.nozzle_c("pla") == 205.0
-    with pytest.raises(InputError, match="heat is wait, and there is no temperature") as refused:
+    with pytest.raises(InputError, match="heat is wait, but no temperature is given") as refused:
         load_problem(small_problem().file, [changes[0], materials.format("")])
     assert refused.value.field == "--set process.start: process.start.heat"
 
 
 def test_the_cutter_is_no_fan() -> None:
     changes = ["process.fibre={cut_length_mm: 9}", "process.fan={}"]
-    with pytest.raises(InputError, match="fan output 0 is the cutter's"):
+    with pytest.raises(InputError, match="fan output 0 is taken by the cutter"):
         load_problem(small_problem().file, changes)
     assert load_problem(small_problem().file, [*changes[:1], "process.fan={number: 2}"]).process.fan.number == 2
     for code in ("M106 S1, G4 P500", "M107", "M106 S1 P0"):  # without P it is fan 0
         own = f"process.fibre={{cut_length_mm: 9, cut_code: [{code}]}}"
-        with pytest.raises(InputError, match="fan output 0 is the cutter's"):
+        with pytest.raises(InputError, match="fan output 0 is taken by the cutter"):
             load_problem(small_problem().file, [own, "process.fan={}"])
 
 
@@ -140,7 +140,7 @@ def test_heat_is_waited_for_before_time_begins() -> None:
     assert lines[2:8] == ["M83", "T0", "M140 S60", "M104 S280", "M190 S60", "M109 S280"]
     assert gcode_differences(plan, text) == []
     late = text.replace("M109 S280\n", "G4 P1\nM109 S280\n", 1)
-    with pytest.raises(InputError, match="would lose the robot"):
+    with pytest.raises(InputError, match="out of step with the robot"):
         read_gcode(late)
 
 
@@ -226,10 +226,10 @@ def test_flow_within_a_bead_has_its_steps_however_fast_pressure_is_built_up() ->
 @pytest.mark.parametrize(
     ("old", "new", "difference"),
     [
-        ("M106 P1 S153", "M106 P1 S255", "told other things"),
-        ("M106 P1 S153\n", "", "told other things"),
+        ("M106 P1 S153", "M106 P1 S255", "sent other orders"),
+        ("M106 P1 S153\n", "", "sent other orders"),
         ("; fan on\nM106 P1 S153\n", "M106 P1 S153\nG4 P40\n", "it lasts"),
-        ("T0\n", "T0\nM106 P0 S1\n", "told other things"),
+        ("T0\n", "T0\nM106 P0 S1\n", "sent other orders"),
     ],
 )
 def test_a_board_that_is_told_otherwise_is_found(old: str, new: str, difference: str) -> None:
@@ -265,7 +265,7 @@ def test_what_flow_differs_by_within_a_step_does_not_add_up_along_a_bead() -> No
 
 def test_nothing_comes_before_relative_extrusion() -> None:
     text = gcode(make_plan())
-    with pytest.raises(InputError, match="stands before M83"):
+    with pytest.raises(InputError, match="is not allowed before M83"):
         read_gcode(text.replace("M83\n", "", 1))
 
 
@@ -315,4 +315,4 @@ def test_filament_that_moves_when_it_is_not_due_is_found(
     text = gcode(plan)
     assert differences(plan, {FILE: text}) == []
     found = differences(plan, {FILE: "\n".join(spoil(text.splitlines())) + "\n"})
-    assert any("more or less than planned have moved" in each for each in found)
+    assert any("less filament than planned has moved" in each for each in found)

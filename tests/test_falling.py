@@ -102,7 +102,7 @@ def test_lines_that_miss_have_no_foot() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (("layers.project=direction",), "project is direction, and there is none (give direction, for example"),
+        (("layers.project=direction",), "project is direction, but no direction is given (give direction, for example"),
         (("layers.direction=[0, 0, -1]",), "project is z (leave out direction)"),
         (("layers.project=direction", "layers.direction=[0, 0.1, 1]"), "points upwards"),
         (("layers.project=direction", "layers.direction=[0, 0, 0]"), "zero vector"),

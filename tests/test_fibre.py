@@ -243,6 +243,6 @@ def test_settings_of_the_program_are_checked(change: str, words: str) -> None:
 
 
 def test_a_board_that_takes_one_command_a_line_is_not_told_several() -> None:
-    with pytest.raises(InputError, match=r"process\.fibre\.cut_code: marlin takes one command a line") as caught:
+    with pytest.raises(InputError, match=r"process\.fibre\.cut_code: marlin takes one command per line") as caught:
         load_problem("fibre_plane", ("program.board={firmware: marlin}",))
     assert "[M106 P0 S1, G4 P500, M106 P0 S0, G4 P500]" in str(caught.value)

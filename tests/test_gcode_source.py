@@ -349,15 +349,15 @@ WRONG = [
     # the fifth line, reason, hint
     ("G1 X1..2 E1", "cannot read 'X1..2 E1'", "each with a number"),
     ("G1 X E1", "cannot read 'X E1'", ""),
-    ("G1 X1 X2 E1", "X stands in this line twice", ""),
+    ("G1 X1 X2 E1", "X occurs twice in this line", ""),
     ("G1 Xnan E1", "cannot read", ""),
-    ("X1 Y1 E1", "'X1 Y1 E1' is no command", "number first"),
-    ("Gl X1 Y1", "is no command", ""),
-    ("1;2", "is no command", ""),
+    ("X1 Y1 E1", "'X1 Y1 E1' is not a command", "its number"),
+    ("Gl X1 Y1", "is not a command", ""),
+    ("1;2", "is not a command", ""),
     ("G5 X1 Y1 I1 J1", "G5 is not known", "G0, G1, G2 and G3"),
     ("G18\nG2 X9 I4.5 E1", "an arc extrudes in the plane of G18", "level"),
     ("G2 X9 I4.5 P2 E1", "an arc of several turns", "P1"),
-    ("G1 X10 Z0.1 E1", "z goes down while material flows", "no curved layers"),
+    ("G1 X10 Z0.1 E1", "z goes down while material flows", "curved layers cannot be read"),
     ("G1 X1e-05 E1", "cannot read 'X1e-05 E1'", ""),
     ("G1 X9999999 E1", "X is farther than 100 m", ""),
     ("G1 X9 E1 F0", "F is 0", "greater than 0"),
@@ -367,11 +367,11 @@ WRONG = [
     ("G2 I0 J0 E1", "centre is where it starts", ""),
     ("G2 X9 R2 E1", "cannot join points 9.000 mm apart", ""),
     ("G2 R2 E1", "ends where it starts", ""),
-    ("G1 X9 E1\nM200 D1.75", "E becomes a volume here", "one of both"),
-    ("G1 X9 E1\nM200 S1", "E becomes a volume here", "one of both"),
-    ("M200 D1.75:0", "E is a volume of some tools alone", "one of both"),
-    ("G28\nG1 X1 Y1 E1", "nothing says where the nozzle is", "before it"),
-    ("G28\nG2 X1 Y1 I1 E1", "nothing says where the nozzle is", "before it"),
+    ("G1 X9 E1\nM200 D1.75", "E changes here", "one or the other"),
+    ("G1 X9 E1\nM200 S1", "E changes here", "one or the other"),
+    ("M200 D1.75:0", "E is a volume for some tools only", "one or the other"),
+    ("G28\nG1 X1 Y1 E1", "before anything says where the nozzle is", "before it"),
+    ("G28\nG2 X1 Y1 I1 E1", "before anything says where the nozzle is", "before it"),
     ("G1 X9 C90 E1", "C moves while material flows", "layers.source.waypoints"),
     ("G1 C90 E1", "C moves while material flows", "layers.source.waypoints"),
     ("G0 B-30\nG1 X9 E1", "material flows with B at -30", "layers.source.waypoints"),
@@ -444,7 +444,7 @@ def test_another_tool_begins_a_thread_and_is_told(read: Read, tmp_path: Path) ->
     [
         (b"", "extrudes nothing"),
         (b"G28\nG1 X1 Y1 Z1\n", "extrudes nothing$|extrudes nothing .G-code"),
-        (b"G28\nG1 X1 Y1 Z1 B3 C-9 A2\n", "extrudes nothing by E, and moves A, B, C .* as waypoints"),
+        (b"G28\nG1 X1 Y1 Z1 B3 C-9 A2\n", "extrudes nothing by E, but moves A, B, C .* as waypoints"),
         (b"G1 X\xff\n", "not UTF-8"),
     ],
 )
@@ -538,7 +538,7 @@ def test_what_the_file_says_of_itself_is_told(tmp_path: Path) -> None:
     notes = built(tmp_path, PRUSA, "bead: {width_mm: 0.4}").notes
     assert notes[0] == "part.gcode: 1 move that extrudes before the first layer left out"
     assert "beads are 0.451 to 0.481 mm wide and 0.150 to 0.200 mm high" in notes[-2]
-    assert "20 to 40 mm/s, do not count" in notes[-1]
+    assert "20 to 40 mm/s, are ignored" in notes[-1]
 
 
 def test_small_loops_are_rounded_less_not_lost(tmp_path: Path) -> None:
@@ -558,7 +558,7 @@ BAD_PRINTS = [
     (START + "G1 X9 E1\nG1 X20 E0.00001\n", "", "", 6, "bead 0.000 mm wide", "M82 or M83"),
     (START + "G1 X9 E1\n;LAYER:1\nG1 X8 Z1 E1\n", "", "", 7, "z rises by 0.800 mm in 1.000 mm", "upright"),
     (START + "G1 X0.3 E1\n", "", "", "process.bead.width_mm", "shorter than a bead is wide", "specks"),
-    (START + "G1 X9 E1\n", "bead: {width_mm: 0.5, height_mm: 0.2}", "", "process.bead", "stands in the G-code", "leave"),
+    (START + "G1 X9 E1\n", "bead: {width_mm: 0.5, height_mm: 0.2}", "", "process.bead", "comes from the G-code", "leave"),
     (START + "G1 X9 E1\n", "", ", svg: a.svg", "layers.source.svg", "both svg and gcode", "one"),
     (START + "G1 X9 E1\n", "", ", up: y", "layers.source.up", "unknown key", "gcode"),
 ]  # fmt: skip

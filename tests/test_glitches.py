@@ -68,7 +68,7 @@ def test_samples_that_were_held_are_left_out(held: int) -> None:
     time, q = moving()
     q[200 : 200 + held] = q[200]
     found = clean(time, q)
-    assert np.flatnonzero(~found.kept).tolist() == list(range(201, 200 + held)) and "held" in found.remarks[0]
+    assert np.flatnonzero(~found.kept).tolist() == list(range(201, 200 + held)) and "stood still" in found.remarks[0]
 
 
 def test_a_step_or_two_that_are_held_do_no_harm() -> None:
@@ -101,7 +101,7 @@ def _many(q: Array) -> None:
     [
         (_noughts, r"run\.csv:202: column 'J[12]' leaps from one sample to the next as no joint can"),
         (_one_held, r"run\.csv:242: column 'J2' leaps"),
-        (_many, r"run\.csv:12: [0-9]+ of [0-9]+ samples can be no joint's: column 'J1' leaps and comes back"),
+        (_many, r"run\.csv:12: [0-9]+ of [0-9]+ samples cannot be a joint's: column 'J1' leaps and comes back"),
     ],
 )
 def test_what_cannot_be_put_right_is_refused(change, said: str) -> None:

@@ -113,7 +113,7 @@ def test_masses_tell_no_flow_without_a_density(tmp_path: Path) -> None:
     problem, line = asked()
     found = fit_flow(read_table(weighed(tmp_path, 0.1, 0.9), line), line, None)
     assert np.isnan(found.flow) and found.lag == pytest.approx(0.1, abs=4e-3)
-    assert "flow: not told by masses without --density" in flow_lines(found)
+    assert "flow: not shown by masses without --density" in flow_lines(found)
     assert set(process_values(found, line, problem)) == {"process.extruder"}
 
 
@@ -180,7 +180,7 @@ SPOILT = {
     "negative": (_replaced("\n10,15,", "\n10,15,-"), r":4: mass_mg: must not be below 0"),
     "grams": (_column(1e-3, 2), "times what was asked"),
     "no mass": (_column(0.0, 2), r":2: mass_mg: holds no mass"),
-    "a decimal point": (_replaced("\n10,15,", "\n10,15,99"), r":4: mass_mg: is .* times what the line has on the mean"),
+    "a decimal point": (_replaced("\n10,15,", "\n10,15,99"), r":4: mass_mg: is .* times the line's mean"),
     "endless": (_replaced("\n10,15,", "\n10,15," + "9" * 200_000), r":4: is not CSV: field larger"),
 }  # fmt: skip
 
@@ -205,7 +205,7 @@ def test_a_table_of_something_else_is_refused(tmp_path: Path, case: str) -> None
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (_column(1e3, 1), r":2: width_mm: widths are [0-9.]+ mm on the mean"),
+        (_column(1e3, 1), r":2: width_mm: widths are [0-9.]+ mm on average"),
         (_column(0.0, 1), r":2: width_mm: must be above 0"),
         (_rows(lambda rows: [*rows[:20], *rows[10:]]), r":22: s_mm: 1[0-9](.5)? mm lies before"),
     ],
@@ -233,7 +233,7 @@ def test_any_text_is_read_or_refused(text: str, tmp_path_factory: pytest.TempPat
     ("name", "overrides", "said"),
     [
         ("fibre_plane", (), "a fibre is as thick as it is fed"),
-        ("planar_gcode", (), "how high beads are stands in their G-code"),
+        ("planar_gcode", (), "the height of beads is in their G-code"),
         ("peer_cap", ("process.extruder.motor=on_off",), "only on or off"),
     ],
 )
@@ -304,9 +304,9 @@ def test_what_a_line_asks_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.area, line.area, rtol=1e-5)
     for change, said in (
         ({"format": "x"}, "its format is 'x'"),
-        ({"problem": "other"}, "was asked of other"),
-        ({"ends_mm": [0, 1]}, "is not what a line asked"),
-        ({"speed_mm_s": "quick"}, "is not what a line asked"),
+        ({"problem": "other"}, "was written for other"),
+        ({"ends_mm": [0, 1]}, "does not say what a line asked"),
+        ({"speed_mm_s": "quick"}, "does not say what a line asked"),
         ({"speed_mm_s": 0}, "sections without a length or a flow"),
     ):
         data = json.loads(line_text(line)) | change
@@ -403,5 +403,5 @@ def test_a_number_that_is_too_large_for_a_line_is_refused(tmp_path: Path) -> Non
     data = json.loads(line_text(line))
     data["height_mm"] = 10**400
     (tmp_path / "asked.json").write_text(json.dumps(data), encoding="utf-8")
-    with pytest.raises(InputError, match="is not what a line asked"):
+    with pytest.raises(InputError, match="does not say what a line asked"):
         read_asked_line(tmp_path / "asked.json", problem)

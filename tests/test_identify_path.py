@@ -321,7 +321,7 @@ def test_a_saved_plan_of_a_resumed_print_is_one_of_its_problem(tmp_path: Path):
 
 
 def test_another_unit_is_refused(tmp_path: Path):
-    with pytest.raises(InputError, match="joints are in radians, where its header says degrees"):
+    with pytest.raises(InputError, match="joints are in radians, but its header says degrees"):
         run_and_log(tmp_path, written(tmp_path, unit="rad"))
 
 
@@ -333,7 +333,7 @@ def test_another_unit_is_told_beside_a_rail(tmp_path: Path):
     run = PlannedRun(path_of_samples(q, cell), cell, "", "the plan's samples")
     head = ",".join(["t_s", "rail_mm", *(f"joint_{k}_deg" for k in range(1, 7))])
     (tmp_path / "run.csv").write_text(table_text(head, np.column_stack([t, 1e3 * q[:, 0], q[:, 1:]])))
-    with pytest.raises(InputError, match="joints are in radians, where its header says degrees"):
+    with pytest.raises(InputError, match="joints are in radians, but its header says degrees"):
         recorded_run(read_log(tmp_path / "run.csv", cell), run, cell)
 
 
@@ -366,11 +366,11 @@ def test_the_command_reads_a_run_of_a_folder_of_results(
     arguments = ["read", "run.csv", str(plan.problem.file), "--plan", "out"]
     assert main(arguments) == EXIT_VERIFIED
     said = capsys.readouterr().out
-    assert "set beside the RAPID program in the folder" in said and "where material is laid: mean 0." in said
+    assert "compared with the RAPID program in the folder" in said and "where material is laid: mean 0." in said
     assert "look-ahead: not shown" in said
     for module in (tmp_path / "out").glob("*.mod"):
         module.unlink()
-    assert main(arguments) == EXIT_VERIFIED and "set beside trajectory.csv" in capsys.readouterr().out
+    assert main(arguments) == EXIT_VERIFIED and "compared with trajectory.csv" in capsys.readouterr().out
     (tmp_path / "out" / "trajectory.csv").write_text("t_s\n0\n")
     assert main(arguments) == EXIT_INPUT and "is no trajectory of this cell" in capsys.readouterr().err
 

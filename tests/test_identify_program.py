@@ -66,7 +66,7 @@ def test_a_start_that_is_not_clear_is_refused() -> None:
 
     obstacles = obstacles_of(problem, cell, build_toolpath(problem))
     down = cell.home + np.radians([0.0, 80.0, 30.0, 0.0, 0.0, 0.0])
-    with pytest.raises(InputError, match=r"lack .* mm of their clearance at the start posture"):
+    with pytest.raises(InputError, match=r"are .* mm too close at the start posture"):
         free_spaces(cell, obstacles, down, greatest_lengths(cell, None))
 
 
@@ -177,7 +177,7 @@ def test_languages_that_do_not_do_are_refused() -> None:
     problem, cell = cell_of("peer_cap")
     with pytest.raises(InputError, match="test programs are written in"):
         language_of(problem, cell, "val3")
-    with pytest.raises(InputError, match="no arm of Universal Robots"):
+    with pytest.raises(InputError, match="not a Universal Robots arm"):
         language_of(problem, cell, "urscript")
 
 
@@ -209,18 +209,18 @@ def test_what_was_asked_is_read_back(tmp_path: Path) -> None:
     ("change", "said"),
     [
         (lambda data: data.update(format="other"), "its format is 'other'"),
-        (lambda data: data.pop("moves"), "is not what a test program asked"),
-        (lambda data: data.pop("language"), "is not what a test program asked"),
+        (lambda data: data.pop("moves"), "does not say what a test program asked"),
+        (lambda data: data.pop("language"), "does not say what a test program asked"),
         (lambda data: data.update(moves=[]), "it has no moves"),
-        (lambda data: data["moves"][0].update(joint="joint_9"), "is not what a test program asked"),
-        (lambda data: data["joints"].pop(), "was asked of"),
+        (lambda data: data["moves"][0].update(joint="joint_9"), "does not say what a test program asked"),
+        (lambda data: data["joints"].pop(), "is for joints"),
         (lambda data: data["joints"][0].update(unit="mm"), "slide"),
-        (lambda data: data["joints"][0].update(start="x"), "is not what a test program asked"),
-        (lambda data: data["joints"][0].update(start=10**400), "is not what a test program asked"),
-        (lambda data: data["moves"][0].update(to=10**400), "is not what a test program asked"),
+        (lambda data: data["joints"][0].update(start="x"), "does not say what a test program asked"),
+        (lambda data: data["joints"][0].update(start=10**400), "does not say what a test program asked"),
+        (lambda data: data["moves"][0].update(to=10**400), "does not say what a test program asked"),
         (lambda data: data["moves"][0].update(to=data["moves"][0]["from"] + 1e-6), "a move that goes nowhere"),
         (lambda data: data["moves"][0].update(to=float("inf")), "a move that goes nowhere, or endlessly far"),
-        (lambda data: [joint.update(asked_speed=-1.0) for joint in data["joints"]], "a limit of it is not above 0"),
+        (lambda data: [joint.update(asked_speed=-1.0) for joint in data["joints"]], "one of its limits is not above 0"),
     ],
 )
 def test_another_file_than_what_was_asked_is_refused(

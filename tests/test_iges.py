@@ -188,12 +188,12 @@ def test_wrong_files_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[s
     lines = good.splitlines(keepends=True)
     line = BRepBuilderAPI_MakeEdge(gp_Pnt(0, 0, 0), gp_Pnt(9, 9, 9)).Edge()
     cases = {
-        "empty.igs": (b"", "is no IGES file"),
+        "empty.igs": (b"", "is not an IGES file"),
         "short.igs": (b"".join(lines[: len(lines) // 2]), "its end is missing"),
         "binary.igs": (good[:72] + b"B" + good[73:], "binary or compressed"),
         "curve.igs": (written(tmp_path / "curve.igs", [line]).read_bytes(), "passed over: 1 line"),
         "hollow.igs": (b"".join(each for each in lines if each[72:73] != b"P"), "hollow.igs"),
-        "none.step": (b"solid x\nendsolid x\n", "is no STEP file"),
+        "none.step": (b"solid x\nendsolid x\n", "is not a STEP file"),
     }
     for name, (data, reason) in cases.items():
         (tmp_path / name).write_bytes(data)

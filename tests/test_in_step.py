@@ -100,19 +100,19 @@ def test_no_line_can_be_left_out(board: dict[str, object]) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("M577 P1 S1", "M577 P2 S1", "it waits for other signals"),
-        ("M577 P1 S0", "M577 P1 S1", "it waits for other signals"),
-        ("M577", "M226", "it waits for other signals"),
+        ("M577 P1 S1", "M577 P2 S1", "it waits for robot signals other"),
+        ("M577 P1 S0", "M577 P1 S1", "it waits for robot signals other"),
+        ("M577", "M226", "it waits for robot signals other"),
         ("T0\n", "", "before a tool is selected"),
         ("T0\n", "T1\n", "tool T0 gets"),
         ("M595 R0\n", "", "it does not begin as"),
-        ("gpIn[1]", "gpIn[2]", "for too long, or for another output"),
-        ("iterations < 13", "iterations < 999", "for too long, or for another output"),
-        ("  G1", "G1", "where a line is repeated"),
-        ("  M400", "  G4 P5", "where a line is repeated"),
+        ("gpIn[1]", "gpIn[2]", "too long, or depends on another output"),
+        ("iterations < 13", "iterations < 999", "too long, or depends on another output"),
+        ("  G1", "G1", "within a repetition"),
+        ("  M400", "  G4 P5", "within a repetition"),
         ("M400\nwhile", "while", "without M400 before it"),
         ("M577 P1 S1\n; bead 0", "G4 P900\nM577 P1 S1\n; bead 0", "late for the bead"),
-        ("G1 E0.99770 F299.310", "G1 E0.99770 F199.310", "longer"),
+        ("G1 E0.99770 F299.310", "G1 E0.99770 F199.310", "s too long"),
         ("M577 P1 S0\n", "M577 P1 S0\nG1 E0.50000 F300.000\n", "tool T0 gets"),
     ],
 )
@@ -275,11 +275,11 @@ def test_a_board_waits_for_ever_for_an_output_that_nobody_switches() -> None:
         ),
         (
             ["process.materials={a: {}, b: {}}", "program.board={input: 55}"],
-            "2 materials go up to input 56, which reprap has not",
+            "2 materials need inputs up to 56, which reprap does not have",
         ),
         (
             ["program.board={firmware: klipper, sync: free}", "process.fan={number: 1}"],
-            "Klipper's M106 knows no fan 1",
+            "Klipper's M106 has no fan 1",
         ),
         (
             [

@@ -30,7 +30,7 @@ def test_a_cell_of_a_notebook_gets_the_page_in_a_frame(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("height", [0, 1e3, "high", True, 10_000])
 def test_a_height_that_is_none_is_said(height: Any) -> None:
-    with pytest.raises(InputError, match=r"height: .* is no height"):
+    with pytest.raises(InputError, match=r"height: .* is not a valid height"):
         show(small_plan(), height)
 
 

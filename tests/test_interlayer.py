@@ -190,7 +190,7 @@ def test_layers_in_step_repeat_and_the_plain_order_stays_without_need() -> None:
     assert layer(plain, 1) == [(name, False) for name, _ in reversed(layer(plain, 0))]
     assert layer(stepped, 1) == layer(stepped, 0) == layer(stepped, 2)
     assert isinstance(stepped.surface, ArrangedSurface)
-    assert any("in another order or direction" in note for note in stepped.notes)
+    assert any("in an order or direction other than" in note for note in stepped.notes)
     idle = toolpath_of("  interlayer_time: {most_s: 60}\n")
     assert layer(idle, 1) == layer(plain, 1)
     assert not isinstance(idle.surface, ArrangedSurface)

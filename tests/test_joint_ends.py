@@ -54,8 +54,8 @@ def test_what_can_only_be_printed_near_an_end_is_printed_there_and_told(tmp_path
     assert plan.verified
     room = np.min([(cell.limits.q_max - path.q).min(axis=0) for path in plan.paths], axis=0)
     assert LEAST_ROOM < room[0] < LIMIT_ROOM
-    (note,) = (note for note in plan.toolpath.notes if "ends of joints' ranges" in note)
-    assert note.startswith("no way keeps 4 deg from the ends of joints' ranges: bead 0, waypoint")
+    (note,) = (note for note in plan.toolpath.notes if "from the ends of their ranges" in note)
+    assert note.startswith("no plan keeps joints 4 deg from the ends of their ranges: bead 0, waypoint")
     end = np.degrees(cell.limits.q_max[0])
     assert f"joint_1 comes to {np.degrees(room[0]):.1f} deg from its end at {end:.1f}, 600.0 mm along bead 0" in note
     (check,) = (check for check in plan.checks if check.name == "joint range")
@@ -67,8 +67,8 @@ def test_what_can_only_be_printed_near_an_end_is_printed_there_and_told(tmp_path
 @pytest.mark.parametrize(
     ("beyond_deg", "towards", "why"),
     [
-        (-0.5, 1, r"no posture within the joints' ranges; the nearest one leaves that of joint_1 by 0\.[1-5] deg"),
-        (-0.5, -1, r"no posture within the joints' ranges; the nearest one leaves that of joint_1 by 0\.5 deg"),
+        (-0.5, 1, r"no posture within the joints' ranges; the nearest one exceeds that of joint_1 by 0\.[1-5] deg"),
+        (-0.5, -1, r"no posture within the joints' ranges; the nearest one exceeds that of joint_1 by 0\.5 deg"),
         (0.3, 1, r"every posture is within 0\.6 deg of the end of a joint's range"),
     ],
     ids=["crossed on the way", "crossed at once", "too near"],
@@ -82,7 +82,7 @@ def test_what_an_end_forbids_stays_refused(tmp_path: Path, beyond_deg: float, to
 def test_where_the_usual_room_serves_nothing_is_told(tmp_path: Path) -> None:
     plan = solve(problem_at(tmp_path, 6.0), baseline=False)
     assert plan.verified
-    assert not any("ends of joints' ranges" in note for note in plan.toolpath.notes)
+    assert not any("from the ends of their ranges" in note for note in plan.toolpath.notes)
 
 
 def test_what_is_refused_for_another_reason_is_not_searched_again(tmp_path: Path) -> None:

@@ -223,7 +223,7 @@ def test_held_axes_of_what_carries_the_arm_are_told(tmp_path: Path) -> None:
     [
         ('"effort":[]', '"effort":[1.0]', "points.0.effort: must be 0 numbers"),
         ('"positions":[0', '"positions":[1,0', "points.0.positions: must be 7 numbers, not 8"),
-        ('"positions":[0.5235988', '"positions":[NaN', "NaN is not a number"),
+        ('"positions":[0.5235988', '"positions":[NaN', "NaN is not a JSON number"),
         ('"positions":[0.5235988', '"positions":[1e999', "points.0.positions: must be finite"),
         ('"positions":[0.5235988', '"positions":[true', "points.0.positions: must be finite"),
         ('"positions":[0.5235988', '"positions":[' + "9" * 5000, "too long"),
@@ -232,7 +232,7 @@ def test_held_axes_of_what_carries_the_arm_are_told(tmp_path: Path) -> None:
         ('"sec":0,"nanosec":84000000', '"sec":0.0,"nanosec":1', "whole seconds"),
         ('"frame_id":""', '"frame_id":"","seq":1', "header: must have stamp, frame_id and nothing else"),
         ('"frame_id":""', '"frame_id":3', "header.frame_id: must be a text"),
-        ('"joint_1"', '"joint_2"', "joint_names: must be names, each once"),
+        ('"joint_1"', '"joint_2"', "joint_names: must be unique names"),
         ('"joint_names"', '"points"', "twice"),
         ('"points":[', '"points":[[', "is not JSON"),
         ('"points":[\n{', '"points":[\n3,{', "points.0: must have"),

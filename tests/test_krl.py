@@ -275,11 +275,11 @@ def test_a_longer_program_is_files_that_call_each_other(monkeypatch: pytest.Monk
     assert differences(plan, files) == []
     second = files["TwoBeads_2.src"]
     assert differences(plan, files | {"TwoBeads_2.src": re.sub(r"X (-?\d+)\.", r"X \g<1>9.", second, count=1)}) != []
-    with pytest.raises(InputError, match="TwoBeads_3 is no program"):
+    with pytest.raises(InputError, match="TwoBeads_3 is not a program"):
         differences(plan, {name: text for name, text in files.items() if name != "TwoBeads_3.src"})
-    with pytest.raises(InputError, match="may be called here"):  # which is local to another file
+    with pytest.raises(InputError, match="can be called here"):  # which is local to another file
         differences(plan, files | {SOURCE: files[SOURCE].replace("  TwoBeads_1()", "  Bead0001()")})
-    with pytest.raises(InputError, match="stands in two files"):
+    with pytest.raises(InputError, match="is defined in two files"):
         differences(plan, files | {"Other.src": second.replace("TwoBeads_2", "Other")})
 
 
@@ -299,7 +299,7 @@ def test_programs_that_a_pendant_can_edit() -> None:
 def test_what_cannot_be_said() -> None:
     plan = wave()
     offset = SimpleNamespace(problem=plan.problem, cell=make_plan(positioner=False, arm="ur5e").cell)
-    assert "spherical wrist, which Universal Robots UR5e is not" in str(unsupported_in_krl(offset))
+    assert "spherical wrist, which Universal Robots UR5e does not have" in str(unsupported_in_krl(offset))
     arm = replace(plan.cell, holder_robot=plan.cell.arm_robot)
     assert "held by an arm" in str(unsupported_in_krl(SimpleNamespace(problem=plan.problem, cell=arm)))
     with pytest.raises(ValueError, match="held by an arm"):
@@ -372,10 +372,10 @@ def test_any_axis_of_travel_that_was_moved_is_found(which: int, axis: int) -> No
         (r"  TRIGGER .*FALSE\n", lambda m: "", 0, SOURCE, "path"),
         (r" *LIN .*\n", lambda m: "", 5, SOURCE, "not of the planned kinds"),
         (r"CIRC \{E6POS: (.*?)\}", shifted("X", 0.5), 2, SOURCE, "path"),
-        (r"CIRC \{E6POS: (.*?)\}", shifted("A", 0.1), 2, SOURCE, "points on the way of arcs"),
-        (r"CIRC \{E6POS: (.*?)\}", shifted("E1", 0.01), 2, SOURCE, "external axes on the way of arcs"),
-        (r"CIRC \{E6POS: (.*?)\}", shifted("E2", 0.01), 2, SOURCE, "external axes on the way of arcs"),
-        (r"(CIRC \{E6POS: .*?),E2 [-\d.]+\}", lambda m: m[1] + "}", 2, SOURCE, "external axes on the way of arcs"),
+        (r"CIRC \{E6POS: (.*?)\}", shifted("A", 0.1), 2, SOURCE, "via points of arcs"),
+        (r"CIRC \{E6POS: (.*?)\}", shifted("E1", 0.01), 2, SOURCE, "external axes at via points of arcs"),
+        (r"CIRC \{E6POS: (.*?)\}", shifted("E2", 0.01), 2, SOURCE, "external axes at via points of arcs"),
+        (r"(CIRC \{E6POS: .*?),E2 [-\d.]+\}", lambda m: m[1] + "}", 2, SOURCE, "external axes at via points of arcs"),
         (r"CIRC \{E6POS: .*?\},", lambda m: "LIN ", 2, SOURCE, "not of the planned kinds"),
         (r"  \$CIRC_TYPE=#BASE\n", lambda m: "", 0, SOURCE, "CIRC_TYPE"),
         (r"  Bead0002\(\)\n", lambda m: "", 0, SOURCE, "path"),
@@ -400,13 +400,13 @@ def test_a_program_that_says_something_else_is_found(
         ("E6POS: X ", "E6POS: X nan", "unknown statement"),
         ("  $OUT[1]=FALSE", "  $OUT[1]=TRUE", "unknown statement"),
         ("  LIN {", "  $OUT[1]=FALSE\n  LIN {", "beside the path"),
-        ("  PTP XSTART\n", "", "begins with PTP XSTART"),
-        ("  PTP XSTART\n", "  PTP XSTART\n  PTP XSTART\n", "goes there once"),
-        ("  Bead0002()\n", "  Bead0009()\n", "Bead0009 is no program"),
+        ("  PTP XSTART\n", "", "must begin with PTP XSTART"),
+        ("  PTP XSTART\n", "  PTP XSTART\n  PTP XSTART\n", "go there once"),
+        ("  Bead0002()\n", "  Bead0009()\n", "Bead0009 is not a program"),
         ("DEF Bead0002", "DEF BEAD0001", "twice"),
         ("DEF TwoBeads()", "DEF OtherBeads()", "no complete program TwoBeads"),
         ("\nEND\n\nDEF Bead0002", "\n\nDEF Bead0002", "inside a program"),
-        (",E1 0.0000,E2", ",E2 0.0000,E1", "in their order"),
+        (",E1 0.0000,E2", ",E2 0.0000,E1", "must be in order"),
         ("  $VEL.CP=", "  $VEL.ORI3=", "without a speed"),
         ("  $TOOL=FTOOL\n", "", "are not set to"),
         ("  $BASE=EK(MACHINE_DEF[2].ROOT", "  $BASE=EK(MACHINE_DEF[3].ROOT", "are not set to"),
@@ -414,7 +414,7 @@ def test_a_program_that_says_something_else_is_found(
         ("    $VEL.ORI1=460", "    $VEL.ORI1=461", "not bounded by"),
         ("    $VEL.ORI1=$VEL_MA", "    $VEL.ORI2=$VEL_MA", "not bounded by"),
         ("IF $ACC_MA.CP<10.5", "IF $ACC_MA.ORI1<10.5", "not bounded by"),
-        ("  PTP {", "  TRIGGER WHEN PATH=0 DELAY=0 DO $OUT[1]=TRUE\n  PTP {", "belongs to a line"),
+        ("  PTP {", "  TRIGGER WHEN PATH=0 DELAY=0 DO $OUT[1]=TRUE\n  PTP {", "a trigger without a line after it"),
     ],
 )
 def test_reader_refuses_what_it_does_not_know(old: str, new: str, message: str) -> None:

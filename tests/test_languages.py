@@ -145,7 +145,7 @@ def test_what_cannot_be_said_is_refused_before_anything_is_planned(
 @pytest.mark.parametrize("key", ["tool", "work_object"])
 def test_what_is_called_as_the_module_is_refused_before_anything_is_planned(key: str) -> None:
     problem = load_problem(small_problem().file, [f"program.{key}=sMall"])
-    with pytest.raises(InputError, match=rf"program\.{key}.*the name of the module, too"):
+    with pytest.raises(InputError, match=rf"program\.{key}.*also the name of the module"):
         check_languages(problem, build_cell(problem))
     elsewhere = load_problem(small_problem().file, [f"program.{key}=sMall", "program.languages=[joint_trajectory]"])
     check_languages(elsewhere, build_cell(elsewhere))

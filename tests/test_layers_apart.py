@@ -53,7 +53,7 @@ def test_another_height_is_told_and_tried(tmp_path: Path, apart_mm: float, heigh
     told = hints_that_hold(problem, toolpath, (), fits)
     assert len(told) == 1
     assert told[0].startswith(
-        f"process.bead.height_mm: {apart_mm:g} (the file's layers lie so far apart) gives a verified"
+        f"process.bead.height_mm: {apart_mm:g} (the spacing of the file's layers) gives a verified"
     )
     assert hints_that_hold(problem, toolpath, (), Planner(lambda p: False)) == ()
 

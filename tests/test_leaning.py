@@ -55,13 +55,13 @@ def context(problem: Problem) -> PlanningContext:
 def test_what_an_upright_nozzle_cannot_print_is_printed_with_one_that_leans(tmp_path: Path, lean: float) -> None:
     problem = problem_of(tmp_path, f"{LEAN}={lean:g}")
     given = context(problem)
-    with pytest.raises(Refusal, match="nearest one leaves that of joint_5"):
+    with pytest.raises(Refusal, match="nearest one exceeds that of joint_5"):
         ladder(given.cell, given.tasks, problem.resolve, given.obstacles)
     plan = solve(problem, baseline=False)
     assert plan.verified
     assert plan.metrics["at_speed_fraction"] > 0.99
     (note,) = (note for note in plan.toolpath.notes if "leans" in note)
-    assert note.startswith("the nozzle leans within its cone, as an upright one has no way: bead 0, waypoint")
+    assert note.startswith("the nozzle leans within its cone, as there is no plan with it upright: bead 0, waypoint")
     (check,) = (check for check in plan.checks if check.name == "axis near the file's normals")
     assert 1.0 < check.worst <= check.limit == lean
 

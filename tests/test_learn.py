@@ -266,11 +266,11 @@ SPOILT: dict[str, tuple[Callable[[str], str], str]] = {
     "no number": (lambda text: text.replace("1.0,0.1", "x,0.1"), "line 3: not 5 numbers"),
     "a short row": (lambda text: text.replace("0,1.0,0.1,0,0", "0,1.0"), "line 3: not 5 numbers"),
     "not finite": (lambda text: text.replace("1.0,0.1", "1.0,nan"), "line 3: a number is not finite"),
-    "no such bead": (lambda text: text.replace("\n1,", "\n7,"), "line 4: no bead of the 3 that there are"),
-    "half a bead": (lambda text: text.replace("\n1,", "\n1.5,"), "line 4: no bead of the 3 that there are"),
+    "no such bead": (lambda text: text.replace("\n1,", "\n7,"), "line 4: no such bead: there are 3"),
+    "half a bead": (lambda text: text.replace("\n1,", "\n1.5,"), "line 4: no such bead: there are 3"),
     "beyond the bead": (lambda text: text.replace("\n1,0.5", "\n1,5000"), "line 4: beyond the end of its bead"),
-    "backwards": (lambda text: text.replace("0,1.0", "0,-0.0"), "line 3: not behind the place before"),
-    "out of order": (lambda text: text + "0,3.0,0,0,0\n", "line 5: not behind the place before"),
+    "backwards": (lambda text: text.replace("0,1.0", "0,-0.0"), "line 3: not after the previous place"),
+    "out of order": (lambda text: text + "0,3.0,0,0,0\n", "line 5: not after the previous place"),
 }
 
 
@@ -290,7 +290,7 @@ def test_corrections_of_beads_that_have_changed_their_places_are_refused(plan: P
     with_corrections(plan, own, tmp_path)
     path, (first, second, *others) = tmp_path / "corrections.csv", plan.toolpath.beads
     assert len(read_corrections(path, plan.toolpath, WRONG).s) == 3
-    with pytest.raises(InputError, match=r"line 2: beside its bead"):
+    with pytest.raises(InputError, match=r"line 2: off its bead"):
         read_corrections(path, replace(plan.toolpath, beads=(second, first, *others)), WRONG)
 
 
@@ -683,10 +683,10 @@ def test_a_folder_of_results_of_ones_own_problem_tells_its_file(tmp_path: Path) 
     assert (problem.name, problem.overrides, plan) == ("small", ("layers.count=1",), None)
     held["problem_file"] = "gone.yaml"
     (folder / "plan.json").write_text(json.dumps(held), encoding="utf-8")
-    with pytest.raises(InputError, match=r"its problem file gone\.yaml is not there"):
+    with pytest.raises(InputError, match=r"its problem file gone\.yaml does not exist"):
         planned_problem(str(folder))
     (folder / "plan.json").write_text(json.dumps(held | {"problem_file": None}), encoding="utf-8")
-    with pytest.raises(InputError, match="waypoints of arrays"):
+    with pytest.raises(InputError, match="waypoints in arrays"):
         planned_problem(str(folder))
 
 
@@ -786,7 +786,7 @@ def test_a_problem_that_is_changed_meanwhile_is_told(
         write_small(tmp_path, ("  speed_mm_s: 40", "  speed_mm_s: 30"))
 
     assert main(taught_nothing(tmp_path, monkeypatch, changed)) == EXIT_INPUT
-    assert "small.yaml: was changed meanwhile" in capsys.readouterr().err
+    assert "small.yaml: was changed in the meantime" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -830,7 +830,7 @@ TAUGHT = {
     "no number": ("0.5", "nan", "a number is not finite, or far too large"),
     "endless": ("0.5", "9" * 200_000, "is not CSV: field larger"),
     "too large": ("0.5", "1e300", "a number is not finite, or far too large"),
-    "a gain beyond all": ("0.5", "7", "line 3: no run can have taught that"),
+    "a gain beyond all": ("0.5", "7", "line 3: no run can have taught this"),
     "no gain": (",gain", ",gian", "no column gain"),
 }
 

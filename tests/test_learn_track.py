@@ -185,10 +185,10 @@ def thinned(plan: Plan, time: Array, q: Array) -> tuple[Array, Array]:
 
 BAD: dict[str, tuple[Callable[[Plan, Array, Array], tuple[Array, Array]], str]] = {
     "another program": (another_program, "off the plan at bead"),
-    "another start": (lambda plan, time, q: (time, q + 0.2), "never is where the program begins"),
+    "another start": (lambda plan, time, q: (time, q + 0.2), "is never where the program begins"),
     "joints in another order": (
         lambda plan, time, q: (time, np.roll(q, 1, axis=1)),
-        "never is where the program begins",
+        "is never where the program begins",
     ),
     "too few samples": (lambda plan, time, q: (time[::20], q[::20]), "too few samples: one every 80 ms"),
     "nothing but gaps": (lambda plan, time, q: thinned(plan, time, q), "gaps leave nothing of any bead"),
@@ -248,7 +248,7 @@ def test_a_wrong_sample_teaches_nothing(plan: Plan, tmp_path: Path) -> None:
     wrong = q.copy()
     wrong[len(q) // 2, 1] += np.radians(0.5)
     way = recorded_way(plan, read_log(write_log(plan, time, wrong, 0.0, 1, tmp_path / "run.csv"), plan.cell), "rapid")
-    assert any("1 sample left out that no joint can have made" in words for words in way.remarks)
+    assert any("1 sample left out as no joint can move like that" in words for words in way.remarks)
     plain = errors_of(plan.trajectory, true_way(plan, time, q))
     assert errors_of(plan.trajectory, way).off == pytest.approx(plain.off, abs=2e-5)
 

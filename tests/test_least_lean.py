@@ -186,7 +186,7 @@ def test_check_tells_it_without_a_search(tmp_path: Path) -> None:
     assert len(mistakes) == 1
     assert mistakes[0].line == 1 + path.read_text().splitlines().index("  cones: {layer_gravity_deg: 30}")
     assert "at any angle of rotation" in mistakes[0].reason
-    assert "or more of cell.positioner.free" in (mistakes[0].hint or "")
+    assert "or more axes in cell.positioner.free" in (mistakes[0].hint or "")
 
 
 def cap() -> tuple[Problem, Cell, tuple[NozzleTask, ...]]:

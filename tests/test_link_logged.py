@@ -93,8 +93,8 @@ def line_lost(text: str) -> str:
         (line_lost, "is the log of another program: line 8 is"),
         (lambda text: text.replace('"n": 12,', '"n": 99,'), "is the log of another program: line 99 of 39"),
         (lambda text: text.replace('"what": "sent"', '"what": "kept"'), "were acknowledged that were not sent"),
-        (lambda text: "not json\n" + text, "is no record of the link's log"),
-        (lambda text: "n,bead,layer,t_s,text\n1,0,0,0,M83\n2,0,0,1,M84\n", "is no record of the link's log"),
+        (lambda text: "not json\n" + text, "is not a record of the link's log"),
+        (lambda text: "n,bead,layer,t_s,text\n1,0,0,0,M83\n2,0,0,1,M84\n", "is not a record of the link's log"),
     ],
 )  # fmt: skip
 def test_logs_of_something_else_are_refused(tmp_path: Path, whole: Path, spoil, words: str) -> None:  # type: ignore[no-untyped-def]
@@ -160,7 +160,7 @@ def test_a_problem_that_was_changed_since_is_told(tmp_path: Path) -> None:
     command = f"to go on: python -m planner.solve {shlex.quote(str(file))} --from-bead 3 --strategy ladder"
     assert planned.lines(3) == [command]
     file.write_text("name: cup\nstrategy: sqp\n")
-    told = f"{file} was changed since it was planned: bead 3 may be another one; put it back as it was"
+    told = f"{file} was changed since it was planned: bead 3 may be a different one; restore the file"
     assert planned.lines(3) == [told, command]
     assert going_on(plan | {"problem_sha256": None}, "cup").lines(3) == [command]
     file.unlink()

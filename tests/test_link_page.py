@@ -160,7 +160,7 @@ def test_a_jam_that_the_board_tells_pauses_at_once(hub: Hub) -> None:
 def test_stopped_from_the_page(hub: Hub) -> None:
     hub.until(lambda told: told.get("line", 0) > 3)
     assert hub.do({"do": "jam"}) == 204
-    assert hub.at("paused")["reason"] == "the user tells of a jam"
+    assert hub.at("paused")["reason"] == "the user reports a jam"
     assert hub.do({"do": "stop"}) == 204
     told = hub.at("stopped")
     assert "stopped on the page" in told["reason"] and "--from-bead 0" in told["reason"]

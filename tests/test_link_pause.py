@@ -246,7 +246,7 @@ def test_words_at_the_terminal(text: str, order: Order) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "is none of pause, jam, reprime, continue, stop"), ("paus3", "did you mean pause?"), ("p 3", "only reprime"),
+        ("", "is not one of pause, jam, reprime, continue, stop"), ("paus3", "did you mean pause?"), ("p 3", "only reprime"),
         ("r x", "only reprime takes numbers"), ("r nan", "only reprime"), ("r 0", "0 mm is not 0.1 to 500 mm"),
         ("r 10 99", "99 mm/s is not 0.1 to 50 mm/s"), ("r 1 2 3", "only reprime takes numbers"), ("r inf", "inf mm is not"),
     ],
@@ -299,8 +299,8 @@ def test_what_is_typed_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     os.write(master, b"p\ncontinue\nbrake\nstop\n")
     until(lambda: len(asked) == 2)
     assert asked == [PauseOrder("paused at the terminal"), StopOrder("stopped at the terminal")]
-    assert told[0] == "continue: not now; what can be asked for: pause, stop" and told[1].startswith(
-        "'brake' is none of"
+    assert told[0] == "continue: not possible now; possible are: pause, stop" and told[1].startswith(
+        "'brake' is not one of"
     )
     os.close(master)
 

@@ -431,7 +431,7 @@ def test_a_line_is_sent_again_only_if_the_board_did_not_take_it() -> None:
     first = written(relay.received(CONTROLLER, said(PROGRAM, 1, 2), 0.0))
     assert written(relay.received(BOARD, b"Resend: 1\r\n", 0.0)) == first
     # a bare ok may be the one that some firmwares send after Resend, or the line's own
-    assert "may be of either" in reason_of(relay.received(BOARD, b"ok\r\n", 0.0))
+    assert "may be for either" in reason_of(relay.received(BOARD, b"ok\r\n", 0.0))
 
     relay = started()
     relay.received(CONTROLLER, said(PROGRAM, 1, 2), 0.0)

@@ -335,7 +335,7 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def test_version_2_over_tls(certificate: tuple[Path, Path]) -> None:
     cert, key = certificate
     with serving(2, certificate=cert, key=key) as (server, controller):
-        with pytest.raises(InputError, match="no certificate that is trusted"):
+        with pytest.raises(InputError, match="shows no trusted certificate"):
             session(server, 2, scheme="https").mode()
         for verify in (cert, False):
             with closing(session(server, 2, scheme="https", verify=verify)) as rws:
@@ -559,7 +559,7 @@ def test_a_start_that_starts_nothing_is_noticed(monkeypatch: pytest.MonkeyPatch)
     with serving() as (server, controller), closing(session(server)) as rws:
         bring(rws, files_of(MODULE), silent)
         monkeypatch.setattr(controller, "start", lambda: None)
-        with pytest.raises(LinkError, match=r"took the start, and runs nothing \(motors: motoron\)"):
+        with pytest.raises(LinkError, match=r"accepted the start, but runs nothing \(motors: motoron\)"):
             start(rws)
 
 

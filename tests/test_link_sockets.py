@@ -120,7 +120,7 @@ FAULTS = [
         ("board", "garbage", "board sent bytes that are not text"),
         ("board", "error", "Heater 1 fault"),
         ("board", "wrong ack", "acknowledged line 9999"),
-        ("board", "resend", "again, which it was not sent last"),
+        ("board", "resend", "again, which was not the last one sent"),
         ("board", "flood", "more than 1000 lines that acknowledge nothing"),
     )
     if not (end == "controller" and fault == "hello" and at == 0)

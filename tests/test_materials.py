@@ -158,7 +158,7 @@ def test_a_wing_and_its_support_are_of_two_materials(own: str | None, expected: 
         ("    pla: {}", "    pla: {tool: 100}", "process.materials.pla.tool", "100 is too large", "0 to 99"),
         ("    pla: {}", "    pla: {tol: 1}", "process.materials.pla.tol", "unknown key", "did you mean tool?"),
         ("    pla: {}", "    pla: 195", "process.materials.pla", "must be a section", "its keys: tool"),
-        ("    pla: {}", "    if: {}", "process.materials.if", "'if' is a word of RAPID", "my_if"),
+        ("    pla: {}", "    if: {}", "process.materials.if", "'if' is a reserved word of RAPID", "my_if"),
         (
             "    pla: {}",
             "    pla: {extruder_signal: DOEXTRUDE1}",
@@ -430,7 +430,7 @@ def test_rapid_waits_at_home_for_the_change() -> None:
     ("old", "new", "difference"),
     [
         ("\nT0\n", "\nT1\n", "tool T0 gets"),
-        ("\nT0\n", "\n", "tools are selected"),
+        ("\nT0\n", "\n", "selects tools other"),
         ("G1 E5.00000 F300.000", "G1 E5.10000 F306.000", "tool T0 gets +0.1 mm"),
         (
             "; change to pva, bead 1\nT0\nG4 P2000",

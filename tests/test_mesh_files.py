@@ -127,7 +127,7 @@ def test_a_size_that_is_no_parts_names_the_unit_that_would_do(tmp_path: Path, fa
     with pytest.raises(InputError, match="mm across, with lengths in mm") as caught:
         sizes(path)
     assert said in str(caught.value)
-    assert "unit: mm takes it as it is" in str(caught.value)
+    assert "unit: mm keeps that size" in str(caught.value)
     np.testing.assert_allclose(sizes(path, unit="mm"), factor * np.array(SIDES), rtol=1e-4)
     with pytest.raises(InputError, match=r"is 4e\+04 mm across at scale 1000"):
         sizes(save(tmp_path, "stl", box()), scale=1000.0)
@@ -213,12 +213,12 @@ def test_a_missing_package_is_named_with_its_command(tmp_path: Path, monkeypatch
 DAMAGED = {
     "points only": ("part.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
                     b"property float z\nend_header\n0 0 0\n", "holds no facets"),
-    "no corner": ("part.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "damaged|no OBJ file"),
+    "no corner": ("part.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "damaged|not in OBJ format"),
     "nothing": ("part.obj", b"v 0 0 0\n", "holds no facets"),
-    "one coordinate": ("part.obj", b"v 0\nv 1\nv 2\nf 1 2 3\n", "three coordinates|no OBJ file"),
-    "cut off": ("part.ply", written(box(), "ply")[:-20], "damaged|no PLY file"),
+    "one coordinate": ("part.obj", b"v 0\nv 1\nv 2\nf 1 2 3\n", "three coordinates|not in OBJ format"),
+    "cut off": ("part.ply", written(box(), "ply")[:-20], "damaged|not in PLY format"),
     "no zip": ("part.3mf", b"PK\x03\x04 and nothing", "3MF"),
-    "off": ("part.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n", "no OFF file"),
+    "off": ("part.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n", "not in OFF format"),
 }  # fmt: skip
 
 

@@ -224,7 +224,7 @@ TAMPERED: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     ),
     "the way to the start has an identity": (
         lambda: changed(second=instead(r"(MoveAbsJ [^\n]*\]),vel", r"\1\\ID:=1,vel")),
-        "the way to the start ends at rest, and has no",
+        "the way to the start must end at rest, without",
     ),
     "a target of the nozzle alone": (lambda: changed(nozzle=by(0.2, MOVE, 5)), "path differs|travel differs"),
     "a target of the second arm alone": (
@@ -252,7 +252,7 @@ TAMPERED: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     ),
     "one task never moves together": (
         lambda: changed(second=instead(r"        SyncMoveOn bwTogether,bwTasks;\n", "")),
-        r"SyncMoveOff bwApart;' stands out of order|no \\ID|\\ID outside of SyncMoveOn|the way to the start",
+        r"SyncMoveOff bwApart;' is not allowed out of order|no \\ID|\\ID outside SyncMoveOn|the way to the start",
     ),
     "both arms go to their starts at once": (
         lambda: changed(second=instead(r"(        MoveAbsJ [^\n]*\n)(        WaitSyncTask [^\n]*\n)", r"\2\1")),
@@ -297,7 +297,7 @@ TAMPERED: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     ),
     "the second arm does not come to rest at the end": (
         lambda: changed(second=instead(r",fine,(bwFlange;\n    ENDPROC\n\nENDMODULE)", r",z0,\1")),
-        "SyncMoveOff.*stands where an arm moves",
+        "SyncMoveOff.*is not allowed where an arm moves",
     ),
     "a slow second arm": (
         lambda: changed(second=instead(r":=\[\d+,\d+,", ":=[100,1,")),
@@ -309,11 +309,11 @@ TAMPERED: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     ),
     "a target of the second arm with an external axis": (
         lambda: changed(second=instead("9E9,9E9,9E9,9E9,9E9,9E9", "12,9E9,9E9,9E9,9E9,9E9", 4)),
-        "other axes than the arm's six joints",
+        "axes other than the arm's six joints",
     ),
     "a target of the nozzle with an external axis": (
         lambda: changed(nozzle=instead("9E9,9E9,9E9,9E9,9E9,9E9", "12,9E9,9E9,9E9,9E9,9E9", 4)),
-        "external axes beside a second arm",
+        "external axes besides a second arm",
     ),
     "a rest in the second task": (
         lambda: changed(second=instead(r"(\n    ENDPROC\n\nENDMODULE)", r"\n        WaitTime 1.000;\1")),
@@ -325,7 +325,7 @@ TAMPERED: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     ),
     "what unbinds a task is missing": (
         lambda: changed(second=instead(r"    UNDO\n        SyncMoveUndo;\n", "")),
-        "main handles other errors",
+        "main handles errors other",
     ),
     "what ends both tasks ends one": (
         lambda: changed(nozzle=instead(r"SystemStopAction\\StopBlock;", "EXIT;")),
@@ -384,7 +384,7 @@ def test_one_arm_s_program_takes_no_identities() -> None:
     text = RAPID.write(single)["TwoBeads.mod"]
     at = re.search(r"MoveJ \[\[.*\]\],", text)
     assert at is not None
-    with pytest.raises(InputError, match="an \\\\ID outside of SyncMoveOn"):
+    with pytest.raises(InputError, match="an \\\\ID outside SyncMoveOn"):
         read_rapid(text[: at.end() - 1] + "\\ID:=3" + text[at.end() - 1 :])
     with pytest.raises(InputError, match="one of two modules"):
         read_rapid(written()[NOZZLE])
@@ -408,9 +408,9 @@ RAIL = ("cell.base={robot: track_3m, free: [rail], home_mm: {rail: 1500}}",)
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (UR, "MultiMove moves ABB's arms, and Universal Robots UR10e, which moves the part, is none"),
-        (IIWA, "is none by the language in its file"),
-        (RAIL, "rail carries one of two arms, and such a MultiMove program is not written"),
+        (UR, "MultiMove moves ABB arms, and the robot file of Universal Robots UR10e, which moves the part, names"),
+        (IIWA, "names another language"),
+        (RAIL, "rail carries one of the two arms, which MultiMove programs do not support"),
     ],
 )
 def test_an_arm_that_multimove_cannot_move_gets_no_program(changes: tuple[str, ...], words: str) -> None:
@@ -425,12 +425,12 @@ def test_an_arm_that_multimove_cannot_move_gets_no_program(changes: tuple[str, .
 @pytest.mark.parametrize("name", ["urscript", "krl", "fanuc", "inform", "val3", "kawasaki", "melfa"])
 def test_other_languages_say_why_they_cannot(name: str) -> None:
     words = str(LANGUAGES[name].unsupported(cell_of("fibre_plane")))
-    assert re.search("the part is held by an arm|IRB 1200-5/0.9 moves the part|no arm of Universal Robots", words)
+    assert re.search("the part is held by an arm|IRB 1200-5/0.9 moves the part|not a Universal Robots arm", words)
 
 
 @pytest.mark.parametrize("unit", ["STN1", "ROB_3", "arm"])
 def test_a_unit_that_is_no_arm_is_refused(unit: str) -> None:
-    with pytest.raises(InputError, match="is no arm of a MultiMove system") as caught:
+    with pytest.raises(InputError, match="is not an arm of a MultiMove system") as caught:
         chosen(cell_of("fibre_plane", f"program.station={unit}"))
     assert str(caught.value.field).endswith("program.station") and "ROB_1, ROB_2" in str(caught.value)
     assert chosen(cell_of("fibre_plane", "program.station=ROB_1")).names[0] == "rapid"
@@ -494,13 +494,13 @@ def test_both_tasks_must_be_active(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_what_moves_one_arm_refuses_two(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="two arms move together, and a stream moves one"):
+    with pytest.raises(InputError, match="two arms move together, but a stream moves only one"):
         stream_of(read_rapid_files(written()))
     (tmp_path / "plan.json").write_text(plan_json(plan()), encoding="utf-8")
-    with pytest.raises(InputError, match="a second arm moves the part, and EGM guides one"):
+    with pytest.raises(InputError, match="a second arm moves the part, but EGM guides only one"):
         read_plan(tmp_path)
     setup = cell_of("fibre_plane")
-    with pytest.raises(InputError, match="moves in a task of its own, and a test program is one task"):
+    with pytest.raises(InputError, match="moves in a task of its own, but a test program has only one task"):
         language_of(setup.problem, setup.cell, None)
 
 

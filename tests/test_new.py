@@ -109,7 +109,7 @@ def test_what_can_be_chosen() -> None:
         (["", "", "", "", "", "patern"], "did you mean pattern?"),
         (["", "", "", "", "", "drawing", "nowhere.svg"], "there is no file"),
         (["", "", "", "", "", "drawing", ""], "an answer is needed"),
-        (["", "", "", "", "", "wing", "0000"], "no section of four digits"),
+        (["", "", "", "", "", "wing", "0000"], "not a four-digit section"),
         (["", "", "", "", "", "", "", "", "", "", "", "", "2.5"], "whole number"),
         ([*[""] * 14, "2000 0 0"], "does not reach all of the part there"),
     ],

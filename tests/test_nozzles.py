@@ -94,7 +94,7 @@ def failed(plan: Plan, trajectory: Trajectory | None = None, cell: Cell | None =
     [
         (((NOZZLE, NOZZLE + NOZZLES), TWO[1]), "cell.nozzles", "both nozzle and nozzles are given"),
         (((NOZZLE, ""),), "cell", "neither nozzle nor nozzles is given"),
-        (((NOZZLE, NOZZLE + "  mounted: one\n"),), "cell.mounted", "mounted is of several nozzles"),
+        (((NOZZLE, NOZZLE + "  mounted: one\n"),), "cell.mounted", "mounted is for several nozzles"),
         (((NOZZLE, NOZZLES),), "cell.nozzles", "there are no process.materials"),
         ((*TWO, ("pva: {nozzle: tPva}", "pva: {}")), "process.materials.pva.nozzle", "choices: tPla, tPva"),
         ((*TWO, ("pva: {nozzle: tPva}", "pva: {nozzle: tPvb}")), "process.materials.pva.nozzle", "did you mean tPva"),
@@ -317,7 +317,7 @@ def test_nozzles_that_are_exchanged_are_named_before_the_print_begins() -> None:
     plan = two_nozzles("one")
     assert "! Begins with tPla, which has to be on the flange." in RAPID.write(plan)["Small.mod"]
     _, later, _ = plan.stretches
-    assert resumed_words(later) == "resumed at bead 1 of 3, bead 0 taken to be there, tPva on the flange"
+    assert resumed_words(later) == "resumed at bead 1 of 3, bead 0 assumed to be printed, tPva on the flange"
     assert "Begins with" not in rapid_files()["Small.mod"]
 
 
@@ -329,7 +329,7 @@ def test_what_was_changed_in_a_program_is_found() -> None:
     waits = "        ! change to pva, bead 1\n        WaitTime"
     assert any(each.startswith("wait") for each in spoilt(f"{waits} 2.000;", f"{waits} 1.000;"))
     (absolute,) = (line for line in change.split("ENDPROC")[0].split("\n") if "MoveAbsJ" in line)
-    with pytest.raises(InputError, match="MoveAbsJ is for the start, and for a change of the tool"):
+    with pytest.raises(InputError, match="MoveAbsJ is only for the start and for a change of tool"):
         spoilt(absolute + "\n", "")  # so that the next change is to the tool in use
     joint = absolute.split("[[")[1].split(",")[0]
     assert any(
@@ -338,9 +338,9 @@ def test_what_was_changed_in_a_program_is_found() -> None:
     move = next(line for line in change.split("PROC Bead0002")[1].split("\n") if "Move" in line)
     with pytest.raises(InputError, match="it moves tPla while tPva is in use"):
         spoilt(move, move.replace("tPva", "tPla"))
-    with pytest.raises(InputError, match="MoveAbsJ is for the start, and for a change of the tool"):
+    with pytest.raises(InputError, match="MoveAbsJ is only for the start and for a change of tool"):
         spoilt(absolute, absolute.replace("tPva", "tPla"))
-    with pytest.raises(InputError, match="a tool is changed at rest"):
+    with pytest.raises(InputError, match="a tool may be changed only at rest"):
         home = rapid_files()["Small.mod"].split("PROC Home1()")[1].split("ENDPROC")[0]
         last = home.strip().split("\n")[-1].strip()
         spoilt(last, last.replace(",fine,", ",z1,"))
@@ -367,14 +367,14 @@ def test_languages_written_for_one_nozzle_say_so(name: str) -> None:
     reason = LANGUAGES[name].unsupported(two_nozzles())
     assert reason is not None
     if name not in ("axes", "urscript"):  # which this arm and problem have not for other reasons
-        assert "one nozzle, and here are tPla and tPva" in reason
+        assert "one nozzle, and the cell has tPla and tPva" in reason
 
 
 def test_several_nozzles_are_written_with_outputs_only() -> None:
     for style in ("socket", "demand"):
         problem = problem_of(*TWO, ("strategy: ladder\n", f"strategy: ladder\nprogram: {{style: {style}}}\n"))
         setup = replace(two_nozzles(), problem=problem)
-        assert RAPID.unsupported(setup) == f"with several nozzles program.style is output, not {style}"
+        assert RAPID.unsupported(setup) == f"with several nozzles program.style must be output, not {style}"
 
 
 def test_the_forecast_is_that_of_all_stretches() -> None:

@@ -155,7 +155,7 @@ def problem(curves: str, *more: str) -> Problem:
         (
             "[{degree: 2, points_mm: [[0, 0], [1, 2, 3], [3, 4]]}]",
             "points_mm",
-            "point 2 has 3 numbers, and point 1 has 2",
+            "point 2 has 3 numbers, but point 1 has 2",
         ),
         ("[{degree: 2, points_mm: [[0, 0], [.nan, 2], [3, 4]]}]", "points_mm", "finite"),
         ("[{degree: 2, points_mm: [[0, 0], [1, 1]]}]", "points_mm", "at least 3 control points, not 2"),
@@ -174,7 +174,7 @@ def problem(curves: str, *more: str) -> Problem:
             "[{degree: 2, points_mm: [[0, 0], [9, 0], [9, 9], [0, 9], [0, 18], [9, 18]], "
             "knots: [0, 0, 0, 1, 1, 1, 2, 2, 2]}]",
             "knots",
-            "3 times, which breaks",
+            "3 times in the list, which breaks",
         ),
         (GOOD % ", wieghts: [1, 1, 1, 1]", "wieghts", "did you mean weights"),
     ],
@@ -193,7 +193,7 @@ def test_bad_curves_are_refused_by_field(curves: str, field: str, words: str) ->
         ("[{degree: 3, points_mm: [[0, 0], [90, 90], [0, 90], [90, 0]]}]", "curve 1 turns back on itself at x 45.00"),
         ("[{degree: 2, points_mm: [[0, 0], [0, 0], [0, 0]]}]", "'curve 1' is only 0.000 mm long"),
         ("[{degree: 2, points_mm: [[0, 0], [50, 0], [200, 0]]}]", "'curve 1' leaves the part at x 110.0"),
-        ("[{degree: 2, points_mm: [[0, 0], [10, 5], [20, 0]]}]", "too short to be cut fibre"),
+        ("[{degree: 2, points_mm: [[0, 0], [10, 5], [20, 0]]}]", "too short for cut fibre"),
     ],
 )
 def test_curves_that_cannot_be_laid_are_refused_and_nothing_is_written(

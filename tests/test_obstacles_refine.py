@@ -188,9 +188,7 @@ def test_what_is_in_the_way_of_every_posture_is_named(free: str) -> None:
         "cylinder_logo", ["layers.count=1", "cell.positioner.held_deg={}", f"cell.positioner.free={free}"]
     )
     cell = with_bodies(build_cell(given))
-    with pytest.raises(
-        Blocked, match="collision of nozzle with part or print: every posture of the search here"
-    ) as caught:
+    with pytest.raises(Blocked, match="collision of nozzle with part or print: every posture tried here") as caught:
         ladder(cell, [line_task(0.0)], given.resolve, wall_beside(cell))
     assert any(hint.startswith("process.cones.nozzle_normal_deg: ") for hint in caught.value.hints)
 
@@ -329,7 +327,7 @@ def test_a_start_posture_in_something_is_refused_by_its_name(
     obstacles = obstacles_of(problem, cell, toolpath)
     with pytest.raises(Refusal, match=r"and wall lack \d+\.\d mm of clearance at home$") as refused:
         plan_travels(cell, timed, toolpath, problem.process, [0], obstacles)
-    assert refused.value.hints == ("another cell.home_deg, which keeps clear of part and print",)
+    assert refused.value.hints == ("choose a cell.home_deg that is clear of part and print",)
 
 
 def test_ways_round_are_tried_until_one_is_clear(

@@ -77,7 +77,7 @@ def test_a_file_that_is_not_there(folder: Path, field: str) -> None:
         text = path.read_text().replace("bed_mm: [480, 0, 150]", held)
     path.write_text(text)
     with pytest.raises(
-        InputError, match=r"no file .*mine/my_amr.yaml \(counted from the problem file's folder"
+        InputError, match=r"no file .*mine/my_amr.yaml \(paths are relative to the problem file's folder"
     ) as caught:
         build_cell(load_problem(path))
     assert caught.value.field == field

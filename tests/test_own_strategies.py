@@ -82,16 +82,16 @@ def test_names_near_it_are_told() -> None:
     with pytest.raises(InputError, match="did you mean my_table"):
         solve(small_problem(), strategy="my_tabel")
     register_strategy("my_table", lambda cell, tasks, settings, obstacles: ())  # one's own may be replaced
-    with pytest.raises(InputError, match="strategy my_table: answers with 0 paths, there are 3 tasks"):
+    with pytest.raises(InputError, match="strategy my_table: returned 0 paths for 3 tasks"):
         solve(small_problem(), strategy="my_table", baseline=False)
 
 
 @pytest.mark.parametrize(
     ("name", "strategy", "message"),
     [
-        ("ladder", table_turned, "name: ladder is a strategy of the planner's own (for example my_ladder)"),
-        ("my strategy", table_turned, "name: 'my strategy' is no name of a strategy"),
-        (3, table_turned, "name: 3 is no name of a strategy"),
+        ("ladder", table_turned, "name: ladder is one of the planner's own strategies (for example my_ladder)"),
+        ("my strategy", table_turned, "name: 'my strategy' is not a valid strategy name"),
+        (3, table_turned, "name: 3 is not a valid strategy name"),
         ("mine", "table_turned", "strategy: cannot be called: it is of type str"),
     ],
 )
@@ -108,10 +108,10 @@ Spoil = Callable[[Sequence[JointPath]], Any]
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda paths: None, "answers with NoneType (a JointPath for each task, in a tuple)"),
-        (lambda paths: paths[:2], "answers with 2 paths, there are 3 tasks"),
+        (lambda paths: None, "returned NoneType (a JointPath for each task, in a tuple)"),
+        (lambda paths: paths[:2], "returned 2 paths for 3 tasks"),
         (lambda paths: [path.q for path in paths], "path 0 is of type ndarray"),
-        (lambda paths: paths[::-1], "path 0 is of another task than task 0"),
+        (lambda paths: paths[::-1], "path 0 does not belong to task 0"),
         (lambda paths: [replace(path, q=path.q[:, :3]) for path in paths], "path 0: q has shape"),
         (lambda paths: [*paths[:2], replace(paths[2], roll=paths[2].roll[1:])], "path 2: roll has shape"),
         (lambda paths: [replace(path, tilt=0.0) for path in paths], "path 0: tilt has shape ()"),
@@ -152,13 +152,13 @@ def test_arrays_of_other_numbers_are_those_that_kernels_take_or_told(kind: type)
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"rolls": [0.0]}, "rolls: has 1, there are 3 tasks"),
+        ({"rolls": [0.0]}, "rolls: has 1, but there are 3 tasks"),
         ({"rolls": [0.0, [1.0, 2.0], 0.0]}, "rolls[1]: has shape (2,)"),
         ({"rolls": [0.0, np.nan, 0.0]}, "rolls[1]: has a number that is not finite"),
         ({"rolls": ["a", 0.0, 0.0]}, "rolls[0]: must be numbers"),
         ({"rolls": [0.0] * 3, "tilts": [0.0] * 3}, "tilts[0]: has shape ()"),
         ({"rolls": [0.0] * 3, "chosen": [[0.0, 1.0]] * 3}, "chosen[0]: has shape (2,)"),
-        ({"rolls": [0.0] * 3, "branches": [0]}, "branches: has 1, there are 3 tasks"),
+        ({"rolls": [0.0] * 3, "branches": [0]}, "branches: has 1, but there are 3 tasks"),
     ],
 )
 def test_wrong_shapes_are_said(wrong: dict[str, Any], message: str) -> None:

@@ -182,7 +182,7 @@ def test_terms_that_nothing_would_ask_are_refused() -> None:
     term = on_the_page("KeepAway")("joint_5", 1.5, 5.0)
     with pytest.raises(InputError, match="strategy ladder refines nothing"):
         solve("peer_cap", strategy="ladder", terms=[term])
-    with pytest.raises(InputError, match=r"terms\[1\]: 3 is no term"):
+    with pytest.raises(InputError, match=r"terms\[1\]: 3 is not a term"):
         solve("peer_cap", terms=[term, 3])  # type: ignore[list-item]
 
 

@@ -596,7 +596,7 @@ def test_pieces_done_elsewhere_are_the_pieces_done_here(tmp_path: Path) -> None:
         assert len(ticks) == 4
         write_small(tmp_path, *BED, ("speed_mm_s: 40", "speed_mm_s: 30"), ("radius_mm: 34", "radius_mm: 33"))
         own_site.cache_clear()
-        with pytest.raises(InputError, match=r"small\.yaml.* is not the same for a worker"):
+        with pytest.raises(InputError, match=r"small\.yaml.* differs on a worker"):
             there("score", [(now,)], lambda: None)
 
 
@@ -679,7 +679,7 @@ def test_a_file_that_is_changed_meanwhile_is_told(
     monkeypatch.setattr("planner.place.command.study", lambda *_: SimpleNamespace(best=()))
     monkeypatch.setattr("planner.place.command.outcomes", changed)
     assert main([str(write_small(tmp_path, *BED)), "--out", str(tmp_path / "out"), *SMALL]) == EXIT_INPUT
-    assert "small.yaml: was changed meanwhile" in capsys.readouterr().err
+    assert "small.yaml: was changed in the meantime" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -225,7 +225,7 @@ def test_a_straight_wrist_at_home_is_no_riddle(fourth):
     [
         (lambda p: {"position": p.position + [0, 5.0, 0]}, "move 0 is out of reach"),
         (lambda p: {"conf": p.conf + [0, 0, 0, 8]}, "names configuration"),
-        (lambda p: {"start": np.full(12, np.nan)}, "where all joints stand"),
+        (lambda p: {"start": np.full(12, np.nan)}, "position of every joint"),
         (lambda p: {"speed": p.speed * [0, 1, 1, 1]}, "move 0 has no speed"),
         (lambda p: {"speed": p.speed * [1, np.nan, 1, 1]}, "move 0 has no speed"),
     ],
@@ -240,7 +240,10 @@ def test_axes_of_the_station_must_be_said_and_held_ones_stay():
     plan = make_plan()
     program = read_rapid(rapid(plan))
     names = plan.cell.holder_robot.joint_names
-    for name, value, message in (("rotation", np.nan, "where all axes"), ("tilt", 0.1, "tilt of the station is held")):
+    for name, value, message in (
+        ("rotation", np.nan, "position of every axis"),
+        ("tilt", 0.1, "tilt of the station is held"),
+    ):
         external = program.external.copy()
         external[5, names.index(name)] = value
         with pytest.raises(InputError, match=message):

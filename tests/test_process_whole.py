@@ -166,7 +166,7 @@ def kinds(name: str) -> set[str]:
         ((FIBRE, "process.extruder.motor=on_off"), "a motor that is only on or off cannot"),
         ((FIBRE, "process.extruder.lag_s=0.05"), "a fibre does not lag"),
         ((FIBRE, RETRACT), "there is fibre"),
-        (("process.fibre={cut_length_mm: 100}",), "too short to be cut fibre"),
+        (("process.fibre={cut_length_mm: 100}",), "too short for cut fibre"),
         ((RETRACT, "process.extruder.motor=on_off"), "cannot pull filament back"),
         (("process.extruder={motor: on_off, lag_s: 0.05}",), "cannot make up for lag_s"),
         (("process.bead={width_mm: 0.4, height_mm: 0.5, section: rounded}",), "rounded bead cannot be"),

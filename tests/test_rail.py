@@ -302,7 +302,7 @@ WRONG = {
     "home in degrees": ("home_mm: {rail: 1500}", "home_deg: {rail: 15}", "cell.base.home_deg.rail", "home_mm"),
     "held and free": ("home_mm: {rail: 1500}", "held_mm: {rail: 15}", "cell.base.held_mm.rail", "is free"),
     "unknown robot": ("robot: track_3m ", "robot: trak_3m ", "cell.base.robot", "did you mean track_3m?"),
-    "an arm": ("robot: track_3m ", "robot: irb140 ", "cell.base.robot", "is an arm, and carries none"),
+    "an arm": ("robot: track_3m ", "robot: irb140 ", "cell.base.robot", "is an arm, and cannot carry one"),
     "seven angles": ("home_deg: [90,", "home_deg: [90, 90,", "cell.home_deg", "has 6 joints, not 7"),
     "angles of a rail": (
         "  bed_mm", "  limits: {rail: {speed_deg_s: 10}}\n  bed_mm", "cell.limits.rail", "this joint slides",
@@ -328,7 +328,7 @@ def test_what_is_wrong_with_a_base_is_told_with_its_field(name: str, tmp_path: P
 
 WRONG_TABLE = {
     "angle of a slide": ("home_mm: {rail: 1500}", "home_deg: {rail: 15}", "home_deg.rail", "home_mm"),
-    "home of a held one": ("free: [rail], home_mm", "free: [], home_mm", "home_mm.rail", "stands in held_mm"),
+    "home of a held one": ("free: [rail], home_mm", "free: [], home_mm", "home_mm.rail", "goes in held_mm"),
     "held and free": ("home_mm: {rail: 1500}", "held_mm: {rail: 1500}", "free", "both free and held"),
     "held out of range": (
         "free: [rail], home_mm: {rail: 1500}",

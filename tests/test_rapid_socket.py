@@ -95,12 +95,12 @@ def test_a_foreign_parser_accepts_the_program(monkeypatch):
     [
         ('BwLine 3,"', 'BwLine 4,"', "out of order"),
         ("        BwOpen;\n", "", "out of order"),
-        ("        BwEnd;\n", "", "opened and closed"),
+        ("        BwEnd;\n", "", "opened once and closed once"),
         ("bwSent-bwTaken>=16", "bwSent-bwTaken>=17", "instead of"),
         ("        StopMove;", "        ! StopMove;", "instead of"),
-        ('"127.0.0.1",1025', '"1127.0.0.1",1025', "bound to nothing"),
-        ('"127.0.0.1",1025', '"127.0.0.1",8080', "bound to nothing"),
-        ("    VAR bool bwGo:=FALSE;\n", "", "variables of the socket"),
+        ('"127.0.0.1",1025', '"1127.0.0.1",1025', "that is not allowed"),
+        ('"127.0.0.1",1025', '"127.0.0.1",8080', "that is not allowed"),
+        ("    VAR bool bwGo:=FALSE;\n", "", "the socket's variables"),
         ('"M83"', '"M83;"', "unknown statement"),
         ('"M83"', '"' + "M" * 61 + '"', "unknown statement"),
         ('"M83"', '"M83\\0A"', "unknown statement"),
@@ -117,8 +117,8 @@ def test_reader_refuses_another_socket(old, new, message):
     ("pattern", "new", "difference"),
     [
         (r'"G1 E0\.\d+ F', '"G1 E0.90000 F', "mm of filament"),
-        (r'"M106 P0 S1"', '"M106 P0 S0"', "other things"),
-        (r'"M109 S200"', '"M109 S250"', "other things"),
+        (r'"M106 P0 S1"', '"M106 P0 S0"', "other orders"),
+        (r'"M109 S200"', '"M109 S250"', "other orders"),
     ],
 )
 def test_lines_that_say_something_else_are_found(pattern, new, difference):

@@ -130,7 +130,7 @@ def test_the_way_to_the_start_has_its_speed() -> None:
 )
 def test_what_is_said_of_a_point_on_the_way_is_the_plans(change: Callable[[str], str]) -> None:
     found = changed(ON_ARC, 1, change)
-    assert any("points on arcs' ways" in difference for difference in found), found
+    assert any("via points of arcs" in difference for difference in found), found
 
 
 def turned(q: list[float]) -> list[float]:

@@ -61,7 +61,7 @@ def test_the_flow_is_asked_for_where_it_is_laid(run_in):
     ("pattern", "new", "difference"),
     [
         (r"aoDemand,6\.0000", "aoDemand,5.0000", "off by"),
-        (r"(trgOff)\\T2:=trgFlow000", r"\1\\T2:=trgFlow100", "outside of beads"),
+        (r"(trgOff)\\T2:=trgFlow000", r"\1\\T2:=trgFlow100", "outside beads"),
         (r"(trgOn)\\T2:=trgFlow100", r"\1", "off by"),
         (r"TriggC (.*),trgFlow044,z1", r"MoveC \1,z1", "off by"),
         (r"(TriggL .*),trgFlow095,", r"\1,trgFlow099,", "off by"),
@@ -98,7 +98,9 @@ def test_a_rest_in_a_bead_is_no_part_of_the_flow_around_it():
 
 
 def test_a_flow_beyond_the_output_is_refused():
-    with pytest.raises(InputError, match=r"program.demand_scale: 12 mm3/s ask for 12, and the output goes to 10"):
+    with pytest.raises(
+        InputError, match=r"program.demand_scale: 12 mm3/s requires 12, and the output only goes up to 10"
+    ):
         rapid_files(demand_plan(demand_scale=1))
     plan = demand_plan(demand_scale=1, demand_most=12.5)
     assert RAPID.differences(plan, RAPID.write(plan)) == []
@@ -174,9 +176,9 @@ def test_modules_end_where_the_robot_rests():
             'UnLoad "HOME:"\\File:="OneBead_9.mod";',
             "unknown name",
         ),
-        ("OneBead.mod", "ERRNO=ERR_UNLOAD", "TRUE", "other errors"),
-        ("OneBead.mod", '        UnLoad "HOME:"\\File:="OneBead_1.mod";\n', "", "not taken out: OneBead_1"),
-        ("OneBead.mod", "        RAISE;\n", "", "other errors"),
+        ("OneBead.mod", "ERRNO=ERR_UNLOAD", "TRUE", "errors other"),
+        ("OneBead.mod", '        UnLoad "HOME:"\\File:="OneBead_1.mod";\n', "", "not unloaded: OneBead_1"),
+        ("OneBead.mod", "        RAISE;\n", "", "errors other"),
         ("OneBead_1.mod", "PROC Bead0001Part1", "PROC Start", "twice"),
         ("OneBead_1.mod", "MODULE OneBead_1", "MODULE OneBead_1\n    CONST speeddata vel1:=[1,1,1,1];", "nothing else"),
         (

@@ -202,7 +202,7 @@ def test_another_unit_is_told_beside_a_rail(tmp_path: Path) -> None:
     head = ",".join(["t_s", "rail_mm", *(f"joint_{k}_deg" for k in range(1, 7))])
     table = np.column_stack([made.time, 1e3 * made.executed[:, 0], made.executed[:, 1:]])
     (tmp_path / "run.csv").write_text(table_text(head, table))
-    with pytest.raises(InputError, match="joints are in radians, where its header says degrees"):
+    with pytest.raises(InputError, match="joints are in radians, but its header says degrees"):
         match(read_log(tmp_path / "run.csv", cell), asked)
 
 
@@ -216,9 +216,9 @@ def _spoilt(change: str) -> tuple[str, str]:
     moved = half + int(np.argmax(np.abs(np.diff(q[half:, 3])) > 0.3))
     if change == "radians":
         table[:, 1:] = np.radians(q)
-        return table_text(head, table), "joints are in radians, where its header says degrees"
+        return table_text(head, table), "joints are in radians, but its header says degrees"
     if change == "degrees":
-        return table_text(head.replace("_deg", "_rad"), table), "joints are in degrees, where its header says radians"
+        return table_text(head.replace("_deg", "_rad"), table), "joints are in degrees, but its header says radians"
     if change == "order":
         table[:, [2, 4]] = table[:, [4, 2]]
         return table_text(head, table), "that of joint_2 moves as joint_4 was asked to"
@@ -243,12 +243,12 @@ def _spoilt(change: str) -> tuple[str, str]:
         return table_text(head, table), "the clock stands still"
     if change == "milliseconds":
         table[:, 0] *= 1e3
-        return table_text(head.replace("t_s", "time"), table), "goes on by 4 s from sample to sample"
+        return table_text(head.replace("t_s", "time"), table), "advances by 4 s from sample to sample"
     if change == "seconds":
-        return table_text(head.replace("t_s", "t_ms"), table), "goes on by 4e-06 s"
+        return table_text(head.replace("t_s", "t_ms"), table), "advances by 4e-06 s"
     if change == "microseconds":
         table[:, 0] *= 1e6
-        return table_text(head.replace("t_s", "timestamp"), table), "goes on by 4000 s"
+        return table_text(head.replace("t_s", "timestamp"), table), "advances by 4000 s"
     if change == "clock set":
         # at a new second of another clock in the middle of a move, as when a controller's is set
         table[moved:, 0] += 0.08
@@ -283,13 +283,13 @@ def _spoilt(change: str) -> tuple[str, str]:
     if change == "twice":
         return table_text(head.replace("joint_6_deg", "J5"), table), "are both of joint_5"
     if change == "commands only":
-        return table_text(head.replace("joint", "cmd_joint").replace("rot", "cmd_rot"), table), "what joints were told"
+        return table_text(head.replace("joint", "cmd_joint").replace("rot", "cmd_rot"), table), "has commanded joints"
     if change == "no header":
         return table_text("", table).lstrip(), "a header that names the columns is missing"
     if change == "words":
         return table_text(head, table).replace("\n0.4,", "\nstop,", 1), "could not convert string 'stop'"
     if change == "columns":
-        return table_text(head, table).replace("\n0.4,", "\n0.4,0,", 1), "has another number of columns"
+        return table_text(head, table).replace("\n0.4,", "\n0.4,0,", 1), "has a different number of columns"
     if change == "nan":
         return table_text(head, table).replace("\n0.4,", "\nnan,", 1), "no finite number"
     if change == "comma":
@@ -412,8 +412,8 @@ def _in_row(text: str, line: int, column: int, value: str) -> str:
 @pytest.mark.parametrize(
     ("line", "column", "value", "said"),
     [
-        (30, 2, "1e300", r"run\.csv:30: column 'joint_2_deg' is 1e\+300 here, which is no joint's"),
-        (31, 0, "1e30", r"run\.csv:31: column 't_s' is 1e\+30 here, which is no clock's"),
+        (30, 2, "1e300", r"run\.csv:30: column 'joint_2_deg' is 1e\+300 here, too large for a joint"),
+        (31, 0, "1e30", r"run\.csv:31: column 't_s' is 1e\+30 here, too large for a clock"),
         (32, 2, '"' + "9" * 200_000 + '"', r"no number|no finite number|could not convert|is not CSV"),
     ],
 )
@@ -440,5 +440,7 @@ def test_a_wrong_sample_is_left_out_and_told(tmp_path: Path) -> None:
     head = "t_s," + ",".join(f"{name}_deg" for name in asked.joint_names)
     text = table_text(head, np.column_stack([recording.time, np.degrees(recording.executed)]))
     log = matched(tmp_path, _in_row(text, 500, 4, "17.5"), asked)
-    assert any("1 sample left out that no joint can have made, the first in line 500" in words for words in log.remarks)
+    assert any(
+        "1 sample left out as no joint can move like that, the first in line 500" in words for words in log.remarks
+    )
     np.testing.assert_allclose(log.postures, asked.postures, atol=2e-4)

@@ -363,7 +363,7 @@ def test_both_ways_to_a_turntable_are_told(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.turntable.cylinder, centre, atol=1e-9)
     assert apart(truth, found.fit.placement)[0] < 1e-8
     # the same from one side only leaves the table's axis free across the nozzle, which least squares must say
-    with pytest.raises(InputError, match="leave free what changes the nozzle's height"):
+    with pytest.raises(InputError, match="do not fix what the nozzle's height depends on"):
         register(here, tmp_path / "c.csv", Ask(table=True))
 
 
@@ -453,7 +453,7 @@ def test_least_squares_settle_what_pollards_equation_found() -> None:
 @pytest.mark.parametrize(
     ("problem", "columns", "words"),
     [
-        ("peer_cap", "xyz", "is no cylinder"),
+        ("peer_cap", "xyz", "is not a cylinder"),
         ("cylinder_logo", "xyz", "from which side"),
         ("cylinder_logo", "still", "cannot tell the table's axis"),
         ("cylinder_logo", "far", "do not lie on this cylinder"),
@@ -615,7 +615,7 @@ def test_the_command_says_when_nothing_is_to_spare(tmp_path: Path) -> None:
     tips = tips_of(here, here.start, points, np.zeros(2), q)
     file = write_contacts(tmp_path / "c.csv", cartesian(here, tips, q))
     code, text = run(str(file), "cylinder_logo", "--out", str(tmp_path / "a.yaml"))
-    assert code == EXIT_NOT_VERIFIED and "no contact is to spare" in text
+    assert code == EXIT_NOT_VERIFIED and "there is no contact to spare" in text
     code, text = run(str(file), "cylinder_logo", "--out", str(tmp_path / "b.yaml"), "--noise-mm", "0.01")
     assert code == EXIT_VERIFIED and "keeps the tolerance" in text
 

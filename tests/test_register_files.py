@@ -56,7 +56,7 @@ def test_columns_in_any_order_with_names_and_units(tmp_path: Path) -> None:
         (["x_mm,y_mm,z_mm,rotation,hue", "1,2,3,4,5"], 1, "unknown column 'hue'"),
         (["x_m,y_m,z_m,rotation", "1,2,3,4"], 1, "'x_m' is in m"),
         (["x_mm,y_mm,z_mm,rotation_rad", "1,2,3,4"], 1, "is in rad"),
-        (["x_mm,x,y_mm,z_mm,rotation", "1,1,2,3,4"], 1, "column x is there twice"),
+        (["x_mm,x,y_mm,z_mm,rotation", "1,1,2,3,4"], 1, "column x appears twice"),
         (["x_mm,y_mm,z_mm,joint_1,rotation", "1,2,3,4,5"], 1, "leave one of them out"),
         (["x_mm,y_mm,z_mm,rotation,ax", "1,2,3,4,5"], 1, "columns ay, az are missing"),
         (["x_mm,y_mm,z_mm,rotation,ax,ay,az", "1,2,3,4,0,0,0"], 2, "no direction"),
@@ -135,7 +135,7 @@ def scaled(path: Path, factor: float, columns: Sequence[int] = (0, 1, 2)) -> Pat
 def test_another_unit_is_told_by_the_residual(tmp_path: Path, unit: str, factor: float) -> None:
     here = scene("fibre_bowl")
     file = contacts(tmp_path, "fibre_bowl", misplaced(here, MOVED, TURNED), 12, [3e-5, -4e-5, 2e-5])
-    with pytest.raises(InputError, match=f"seem to be in {unit}: as such they fit the part to 0.0"):
+    with pytest.raises(InputError, match=f"seem to be in {unit}: read that way they fit the part to 0.0"):
         register(here, scaled(file, factor), Ask())
 
 
@@ -179,7 +179,7 @@ def test_contacts_in_one_line_name_the_freedom(tmp_path: Path) -> None:
     points = np.outer(np.linspace(-60e-3, 60e-3, 8), [1.0, 0.0, 0.0])
     tips = tips_of(here, here.start, points, np.zeros(8), np.zeros((8, 1)))
     file = write_contacts(tmp_path / "c.csv", cartesian(here, tips, np.zeros((8, 1))))
-    with pytest.raises(InputError, match="leave free what changes the nozzle's height: a turn about x"):
+    with pytest.raises(InputError, match="do not fix what the nozzle's height depends on: a turn about x"):
         register(here, file, Ask())
 
 

@@ -116,7 +116,7 @@ def test_a_flat_scan_leaves_free_what_counts(tmp_path: Path) -> None:
     truth = dome().start
     points = dome_scan(truth)
     band = points[np.abs(points[:, 1] - 1e3 * truth.T_plate_part[1, 3]) < 0.4]
-    with pytest.raises(InputError, match=r"holds|covers|leave free"):
+    with pytest.raises(InputError, match=r"holds|covers|do not fix"):
         register_scan(dome(), write(tmp_path / "scan.xyz", band), Ask())
 
 

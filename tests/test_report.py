@@ -342,7 +342,7 @@ def test_the_note_on_flow_is_true_of_every_motor() -> None:
     assert follows in demand and "in proportion to the nozzle's real speed" in demand
     plan = extruder_plan(motor="on_off")
     plan.metrics["over_extruded_mm3"] = 12.34
-    assert follows not in flow_note(plan) and "gets more than it holds there: 12.34 mm³ in all" in flow_note(plan)
+    assert follows not in flow_note(plan) and "gets too much material there: 12.34 mm³ in all" in flow_note(plan)
     cut = extruder_plan(section="fibre", events=(Event("cut", 0, 3.0, 3.0, 0.0),))
     assert "as fast as the nozzle really moves" in flow_note(cut) and "drawn, not pushed" in flow_note(cut)
     assert "lags the motor by 0.05 s" in flow_note(extruder_plan(lag=0.05))
@@ -355,11 +355,11 @@ def test_the_note_on_flow_says_how_quick_a_motor_has_to_be_for_its_lag() -> None
     """What is laid in twenty samples is pushed in one: ten times as fast, by the slope over two, beside what is laid."""
     plan = extruder_plan(lag=0.5)
     t = plan.trajectory
-    assert "times as much" not in flow_note(plan)
+    assert "times the greatest flow" not in flow_note(plan)
     at_once = 20.0 * float(t.flow.max()) * t.dt / (0.25 * np.pi * 1.75e-3**2)
     feed = t.feed + np.where(np.arange(len(t.t)) > int(np.argmax(t.flow)), at_once, 0.0)
     quick = dataclasses.replace(plan, trajectory=dataclasses.replace(t, feed=feed))
-    assert "it pushes up to 11 times as much as is ever laid" in flow_note(quick)
+    assert "it pushes up to 11 times the greatest flow laid" in flow_note(quick)
 
 
 def test_what_the_motor_pushes_stands_beside_the_flow_where_they_differ() -> None:
@@ -398,10 +398,10 @@ def test_events_are_listed_shortly(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "prime, before a bead 2 0.30 6.0 5.00" in words
     assert "retract, after a bead 1 0.20 −2.0 7.00" in words
     print_summary(plan, tmp_path)
-    told = "extruder besides laying down: 1 x heat (5 s); 2 x prime (0.3 s, +6 mm); 1 x retract (0.2 s, -2 mm)\n"
+    told = "extruder, apart from laying down: 1 x heat (5 s); 2 x prime (0.3 s, +6 mm); 1 x retract (0.2 s, -2 mm)\n"
     assert told in capsys.readouterr().out
     write_report(make_plan(4_000), tmp_path / "none.html")
-    assert "What the extruder does besides" not in visible(tmp_path / "none.html")
+    assert "What else the extruder does" not in visible(tmp_path / "none.html")
     print_summary(make_plan(4_000), tmp_path)
     assert "extruder" not in capsys.readouterr().out
 
@@ -473,7 +473,7 @@ def test_deposition_time_stands_beside_both_bounds(tmp_path: Path, capsys: pytes
     assert f"deposition over that without dips │ {over[0]:.3f}" in out
     assert f"deposition over that without jerk limits │ {over[1]:.3f}" in out
     worst = max(plan.dips, key=lambda dip: dip.lost)
-    assert f"{len(plan.dips)} dips cost" in out and f"the dearest: bead {worst.bead}, layer {worst.layer + 1}" in out
+    assert f"{len(plan.dips)} dips cost" in out and f"the costliest: bead {worst.bead}, layer {worst.layer + 1}" in out
     assert "joint_4 jerk" in out and "process.speed_mm_s" not in out
     assert with_ratios({"deposition_time_s": 3.0, "bound_deposition_time_s": 0.0}) == {
         "deposition_time_s": 3.0,
@@ -590,7 +590,7 @@ def test_much_material_is_told_without_exponents() -> None:
         Event("purge", -1, 0.0, 1.0, 15.5),
     )
     told = "1 x cool (12345 s); 1 x retract (1 s, -12000 mm); 1 x purge (1 s, +15500 mm)"
-    assert events_words(events) == f"extruder besides laying down: {told}"
+    assert events_words(events) == f"extruder, apart from laying down: {told}"
     plan = extruder_plan(motor="on_off")
     plan.metrics["over_extruded_mm3"] = 1234.56
     assert "1\u202f234.56 mm³ in all" in flow_note(plan)

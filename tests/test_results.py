@@ -207,7 +207,7 @@ def test_a_failure_anywhere_changes_nothing(
         try:
             put(folder, new)
         except OutputError as error:
-            assert "there still" in str(error)
+            assert "there before is unchanged" in str(error)
             assert contents(folder) == was
         else:
             now = contents(folder)
@@ -260,7 +260,7 @@ def test_what_a_killed_run_left_is_put_right_by_the_next(at: int, tmp_path: Path
         assert contents(out) == {"plan.json": "new", "Logo.mod": "new", "Logo.mod.bak": "by hand"}
     else:
         assert contents(out) == was
-        assert [("the ones before are back" in each) for each in told] == [True] * (
+        assert [("the previous ones were restored" in each) for each in told] == [True] * (
             at > 1
         )  # the first writes the journal
     assert not [path for path in out.iterdir() if path.is_dir()]

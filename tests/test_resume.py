@@ -210,7 +210,7 @@ def test_programs_say_where_they_begin(tmp_path: Path, capsys: pytest.CaptureFix
     assert "SmallFrom4.mod" in (tmp_path / "SmallFrom4.pgf").read_text()
     assert (tmp_path / "extrusion.gcode").read_text().startswith("; small_from_4: ")
     assert json.loads(plan_json(plan))["first_bead"] == 4 and json.loads(plan_json(whole()))["first_bead"] == 0
-    words = "resumed at bead 4 of 6, beads 0 to 3 taken to be there"
+    words = "resumed at bead 4 of 6, beads 0 to 3 assumed to be printed"
     assert words in (tmp_path / "report.html").read_text()
     print_summary(plan, tmp_path)
     assert words in " ".join(capsys.readouterr().out.split())

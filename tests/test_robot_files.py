@@ -171,7 +171,7 @@ def test_a_package_is_known_by_its_name_not_its_folder(tmp_path: Path) -> None:
     file = write(package / "urdf", URDF.replace("hand.stl", "package://own_description/meshes/hand.stl"))
     assert read_robot(file).bodies[2][0].name == "hand"
     (package / "package.xml").write_text(named.format("another"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"no mesh.* in one whose package.xml is of own_description"):
+    with pytest.raises(InputError, match=r"no mesh.* in any whose package.xml names own_description"):
         read_robot(file)
 
 
@@ -239,9 +239,9 @@ WRONG = {
     "mesh without name": ('filename="hand.stl"', "", "link hand", "no filename"),
     "scale to nothing": ('scale="0.001 0.001 0.002"', 'scale="0.001 0.001 0"', "link hand", "in one plane"),
     "scale of two": ('scale="0.001 0.001 0.002"', 'scale="1 1"', "link hand", "must be 3 numbers, not '1 1'"),
-    "mesh in mm": (' scale="0.001 0.001 0.002"', "", "link hand", "is 70 m large (sizes are metres; of a file in mm, scale="),
-    "box in mm": ("0.1 0.2 0.3", "100 200 300", "link arm", "size of 300 m (sizes are metres)"),
-    "joint in mm": ('xyz="0.4 0 0"', 'xyz="400 0 0"', "joint wrist", "origin is 400 m away (origins are metres)"),
+    "mesh in mm": (' scale="0.001 0.001 0.002"', "", "link hand", "is 70 m across (sizes are in metres; for a file in mm, give scale="),
+    "box in mm": ("0.1 0.2 0.3", "100 200 300", "link arm", "size of 300 m (sizes are in metres)"),
+    "joint in mm": ('xyz="0.4 0 0"', 'xyz="400 0 0"', "joint wrist", "origin is 400 m away (origins are in metres)"),
     "shape in mm": ('xyz="0.1 0 0"', 'xyz="100 0 0"', "link arm", "origin is 100 m away"),
     "box of no size": ("0.1 0.2 0.3", "0.1 0 0.3", "link arm", "size of 0 m"),
     "ball inside out": ('radius="0.07"', 'radius="-0.07"', "link arm", "size of -0.07 m"),
@@ -268,7 +268,7 @@ WRONG = {
     "no parent": ('<parent link="base"/>', "", "joint turn", "has no parent link"),
     "unknown parent": ('<parent link="base"/>', '<parent link="bas"/>', "joint turn", "did you mean base?"),
     "two parents": ('<child link="finger"/>', '<child link="arm"/>', "joint slide", "another joint as well"),
-    "circle": ('<parent link="base"/>', '<parent link="hand"/>', "hangs on itself", "form a tree"),
+    "circle": ('<parent link="base"/>', '<parent link="hand"/>', "is its own ancestor", "form a tree"),
     "link twice": ('<link name="tool"/>', '<link name="tool"/><link name="tool"/>', "link tool", "twice"),
     "joint without name": (' name="turn"', "", "joint", "has no name"),
     "macro": ('<link name="tool"/>', '<xacro:link name="tool"/>', "xacro", "run xacro"),
@@ -308,7 +308,7 @@ def test_a_mesh_that_is_none(stl: str, tmp_path: Path) -> None:
 
 
 def test_two_bases_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"own.urdf:12: link spare: hangs on nothing, as base does"):
+    with pytest.raises(InputError, match=r"own.urdf:12: link spare: has no parent, like base"):
         read_robot(write(tmp_path, URDF.replace('<link name="tool"/>', '<link name="tool"/><link name="spare"/>')))
 
 

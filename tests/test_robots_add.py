@@ -113,7 +113,7 @@ def test_a_gripper_whose_flange_has_no_name_may_be_told_from_the_arm() -> None:
         '<link name="finger"/><joint name="grip" type="revolute"><parent link="hand"/><child link="finger"/>'
         '<limit lower="0" upper="1" velocity="1" effort="1"/></joint></robot>',
     )  # fmt: skip
-    with pytest.raises(InputError, match="--tip names the flange, if grip is not the arm's but a gripper's"):
+    with pytest.raises(InputError, match="give the flange with --tip, if grip belongs to a gripper, not to the arm"):
         survey(urdf(text), None)
     assert survey(urdf(text), "hand").kind == "spherical_wrist"
 
@@ -185,7 +185,7 @@ def test_what_an_arm_stands_on_is_told_and_stays_checked(tmp_path: Path) -> None
 def test_a_frame_inside_its_link_is_told_and_the_trial_s_nozzle_longer(end: str, tmp_path: Path) -> None:
     file, made = added(begins_in_the_wrist(tmp_path, end), tmp_path / "arm.yaml")
     assert made.found.tip == "link_6"
-    note = "link_6's body reaches 100 mm beyond its frame: nozzle.tip_mm counts from the frame"
+    note = "link_6's body reaches 100 mm beyond its frame: nozzle.tip_mm is measured from the frame"
     assert note in made.found.notes and f"# {note}" in file.read_text(encoding="utf-8")
     assert depth(made.robot, made.found.outwards) == pytest.approx(0.1)
     tip = nozzle_of(made.found.outwards, 0.0, depth(made.robot, made.found.outwards)).tip
@@ -248,7 +248,7 @@ def test_seven_axes_and_offset_wrists_are_known_by_their_geometry() -> None:
         (('<link name="base_link"></link>',
           '<link name="floor"/><link name="base_link"/><joint name="rail" type="prismatic"><parent link="floor"/>'
           '<child link="base_link"/><axis xyz="1 0 0"/><limit lower="0" upper="3" velocity="1"/></joint>'),
-         "no arm of six or seven axes: .*what carries an arm has a URDF and a file of its own"),
+         "no arm of six or seven axes: .*what carries an arm needs a URDF and a file of its own"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_planned_with_is_refused_and_nothing_written(
@@ -326,7 +326,7 @@ def test_a_xacro_file_that_is_wrong_is_told(tmp_path: Path) -> None:
     pytest.importorskip("xacrodoc")
     path = described(tmp_path)
     path.write_text(path.read_text(encoding="utf-8").replace("xacro:kr10", "xacro:kr11"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"xacro does not take it.*kr11"):
+    with pytest.raises(InputError, match=r"xacro rejects it.*kr11"):
         added(path, tmp_path / "kr10.yaml")
     assert not (tmp_path / "kr10.yaml").exists()
 
@@ -354,14 +354,14 @@ def test_a_xacro_file_for_many_arms_gets_its_arguments(tmp_path: Path) -> None:
         assert f'"{prefix}link_1"' in (support / beside).read_text(encoding="utf-8")
     again = add_robot(path, tmp_path / "b_.yaml", arguments={"name": "KR 10", "prefix": "b_"})
     assert again == tmp_path / "b_.yaml"
-    with pytest.raises(OutputError, match="is of another robot"):
+    with pytest.raises(OutputError, match="describes another robot"):
         add_robot(path, tmp_path / "b_.yaml", arguments={"name": "KR 11", "prefix": "c_"})
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "Undefined substitution argument name; the file has name, prefix: give them behind it, as in name:=…"),
+        ([], "Undefined substitution argument name; the file has name, prefix: give them after it, as in name:=…"),
         (["name:=k", "prefx:=b_"], "has no argument 'prefx' (did you mean prefix?)"),
         (["name:=k", "size:=2"], "has no argument 'size' (it has name, prefix)"),
     ],
@@ -401,7 +401,7 @@ def test_only_xacro_files_have_arguments(tmp_path: Path, capsys: pytest.CaptureF
         add_robot(tmp_path / "arm.xacro", tmp_path / "kr10.yaml", arguments={"name": 10})  # type: ignore[dict-item]
     with pytest.raises(SystemExit):
         main(["add", str(path), "name=k"])
-    assert "'name=k' is no argument of a xacro file: write name:=value" in capsys.readouterr().err
+    assert "'name=k' is not an argument of a xacro file: write name:=value" in capsys.readouterr().err
 
 
 def test_a_missing_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

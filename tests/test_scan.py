@@ -152,7 +152,7 @@ def test_a_header_tells_the_unit(tmp_path: Path) -> None:
     path = tmp_path / "metres.csv"
     np.savetxt(path, points(), delimiter=",", header="x_m, y_m, z_m", comments="")
     assert np.allclose(read_cloud(path), points())
-    with pytest.raises(InputError, match="its header says m, and --unit mm"):
+    with pytest.raises(InputError, match="its header says m, but --unit says mm"):
         read_cloud(path, "mm")
 
 
@@ -180,24 +180,28 @@ def with_nan() -> Array:
 @pytest.mark.parametrize(
     ("name", "write", "said"),
     [
-        ("cloud.stl", lambda path: path.write_text("solid"), "no cloud's ending"),
+        ("cloud.stl", lambda path: path.write_text("solid"), "not the ending of a point cloud"),
         (
             "cloud.xyz",
             lambda path: np.savetxt(path, with_nan()),
-            "1 of its 300 points are not finite, or endlessly far away, the first is number 7",
+            "1 of its 300 points are not finite, or too far away; the first is number 7",
         ),
         ("cloud.npy", lambda path: np.save(path, points(30)), "holds 30 points"),
         ("cloud.npy", lambda path: np.save(path, np.ones((300, 2))), r"shape \(300, 2\)"),
-        ("cloud.npy", lambda path: path.write_bytes(b"no array"), "no NumPy file"),
-        ("cloud.npz", lambda path: np.savez(path, points=np.array([["a"] * 3] * 300)), "no NumPy file"),
-        ("cloud.npz", lambda path: np.savez(path), "no NumPy file"),
+        ("cloud.npy", lambda path: path.write_bytes(b"no array"), "not a NumPy file"),
+        ("cloud.npz", lambda path: np.savez(path, points=np.array([["a"] * 3] * 300)), "not a NumPy file"),
+        ("cloud.npz", lambda path: np.savez(path), "not a NumPy file"),
         ("cloud.csv", lambda path: path.write_text("\nx_m,y,z\n" + "1,2,3\n" * 300), "cloud.csv:2: .*different units"),
-        ("cloud.ply", lambda path: path.write_text("plywood"), "no PLY file"),
-        ("cloud.xyz", lambda path: path.write_text("1 2 3\n4 5\n" * 200), "cloud.xyz:2: has no three numbers: '4 5'"),
+        ("cloud.ply", lambda path: path.write_text("plywood"), "not a readable PLY file"),
+        (
+            "cloud.xyz",
+            lambda path: path.write_text("1 2 3\n4 5\n" * 200),
+            "cloud.xyz:2: does not hold three numbers: '4 5'",
+        ),
         (
             "cloud.csv",
             lambda path: path.write_text("x,y,z\n1,2,3\n1,two,3\n" * 100),
-            "cloud.csv:3: has no three numbers",
+            "cloud.csv:3: does not hold three numbers",
         ),
         ("cloud.txt", lambda path: path.write_text("# nothing\n\n"), "holds no points"),
         ("cloud.txt", lambda path: path.write_bytes(b"\xff\xfe\x00"), "not UTF-8"),
@@ -285,8 +289,8 @@ def test_of_a_wide_and_high_bead_coarser_scans_and_greater_errors_are_taken() ->
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda x: x * 1e3, "1000 times the layer's .* unit is another one"),
-        (lambda x: x * 1e-3, r"0\.001 times the layer's .* unit is another one"),
+        (lambda x: x * 1e3, "1000 times the layer's .* it is in another unit"),
+        (lambda x: x * 1e-3, r"0\.001 times the layer's .* it is in another unit"),
         (
             lambda x: x + np.array([0.0, 0.0, 0.012]),
             r"lies elsewhere: half of the layer's top is 9\.\d mm .*\+12\.\d\) mm",
@@ -338,7 +342,7 @@ def test_the_edges_of_a_wide_bead_tell_of_shifts() -> None:
 
 def test_what_is_too_far_off_is_not_fitted() -> None:
     top = planned_top(drawn()[1], SCANNED)
-    with pytest.raises(InputError, match="not to be fitted"):
+    with pytest.raises(InputError, match="too few to fit"):
         fit_cloud(top, cloud() + 0.5, FREEDOMS, WRONG)
     with pytest.raises(InputError, match=r"mm and .* degrees from the layer's top"):
         fit_cloud(top, cloud() + np.array([0.0, 0.0, 11e-3]), FREEDOMS, WRONG)
@@ -453,12 +457,12 @@ def test_normals_are_those_of_the_places_that_were_drawn(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("as_printed.after_layer=4", "no layer is above layer 4"),
+        ("as_printed.after_layer=4", "layer 4 is the last one"),
         ("as_printed.after_layer=9", r"there is no layer 9 \(layers 1 to 4"),
-        ("as_printed.most_mm=0.3", "more than half of a bead"),
-        ("as_printed.map=rest.yaml", "is no height map"),
+        ("as_printed.most_mm=0.3", "more than half the height of a bead"),
+        ("as_printed.map=rest.yaml", "is not a height map"),
         ("as_printed.map=nothing.csv", "there is no file"),
-        ("process.bead.section=fibre", "a fibre is as thick as it comes"),
+        ("process.bead.section=fibre", "a fibre has a fixed thickness"),
     ],
 )
 def test_a_section_that_cannot_be(change: str, said: str, tmp_path: Path) -> None:
@@ -472,8 +476,8 @@ def test_maps_that_are_none(tmp_path: Path) -> None:
     for text, said in (
         (head, "places missing"),
         ("x_mm,y_mm\n1,2\n", "z_mm missing"),
-        (f"{head}0,0,0,0,0,1,high\n", "not numbers"),
-        (f"{head}0,0,0,0,0,1\n", "not numbers"),
+        (f"{head}0,0,0,0,0,1,high\n", "not all numbers"),
+        (f"{head}0,0,0,0,0,1\n", "not all numbers"),
         (f"{head}0,0,0,0,0,1,nan\n", "not finite"),
         (f"{head}0,0,0,0,0,2,0\n", "not of unit length"),
     ):
@@ -484,7 +488,7 @@ def test_maps_that_are_none(tmp_path: Path) -> None:
 
 def test_prints_that_are_not_made_in_layers() -> None:
     assert beads_up_to([0, 0, 1, 2], 1, WRONG) == 2
-    with pytest.raises(InputError, match="after others above it"):
+    with pytest.raises(InputError, match="after beads above it"):
         beads_up_to([0, 1, 0, 1], 1, WRONG)
 
 
@@ -662,12 +666,12 @@ def test_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
 @pytest.mark.parametrize(
     ("change", "options", "said"),
     [
-        (1.0, ["--after-layer", "2"], "its unit is another one"),
-        (1e6, ["--after-layer", "2"], "its unit is another one"),
+        (1.0, ["--after-layer", "2"], "it is in another unit"),
+        (1e6, ["--after-layer", "2"], "it is in another unit"),
         (1e3, ["--after-layer", "7"], "there is no layer 7"),
-        (1e3, ["--after-layer", "4"], "no layer is above layer 4"),
+        (1e3, ["--after-layer", "4"], "layer 4 is the last one"),
         (1e3, ["--after-layer", "2", "--frame", "world"], "lies elsewhere"),
-        (1e3, ["--after-layer", "2", "--frame", "world", "--fit"], "not to be fitted"),
+        (1e3, ["--after-layer", "2", "--frame", "world", "--fit"], "too few to fit"),
     ],
 )
 def test_wrong_input_writes_nothing(
@@ -730,7 +734,7 @@ def test_plans_that_there_are_not(tmp_path: Path) -> None:
 
 
 def test_fibre_is_not_scanned() -> None:
-    with pytest.raises(InputError, match="lays fibre, which is as thick as it comes"):
+    with pytest.raises(InputError, match="lays fibre, whose thickness is fixed"):
         scanned_plan("hemisphere_honeycomb", (*PRINT, "process.bead.section=fibre"))
 
 
@@ -743,10 +747,10 @@ def test_a_saved_plan_and_its_inputs(tmp_path: Path) -> None:
     saved = plan.save(tmp_path / "plan.npz")
     assert scanned_plan(str(saved)).toolpath.length == pytest.approx(plan.toolpath.length)
     problem.write_text(shipped, encoding="utf-8")
-    with pytest.raises(InputError, match="mm of beads were planned, and its problem now has"):
+    with pytest.raises(InputError, match="mm of beads were planned, but its problem now has"):
         scanned_plan(str(saved))
     problem.unlink()
-    with pytest.raises(InputError, match="is not there any more"):
+    with pytest.raises(InputError, match="no longer exists"):
         scanned_plan(str(saved))
 
 
@@ -776,10 +780,10 @@ def test_clouds_that_are_cut_off_or_endless_are_refused_without_a_warning(tmp_pa
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for name, said in (
-            ("cut.npz", "is no NumPy file"),
-            ("far.npy", "endlessly far"),
-            ("far.ply", "endlessly far"),
-            ("huge.npy", "is no NumPy file"),
+            ("cut.npz", "is not a NumPy file"),
+            ("far.npy", "too far away"),
+            ("far.ply", "too far away"),
+            ("huge.npy", "is not a NumPy file"),
         ):
             with pytest.raises(InputError, match=said):
                 read_cloud(tmp_path / name)

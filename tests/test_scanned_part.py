@@ -159,7 +159,7 @@ def test_a_file_is_checked_before_it_is_planned(tmp_path: Path, capsys: pytest.C
     assert check([str(path)]) == 0
     (tmp_path / "dome.xyz").write_text("1 2 3\n4 5\n" * 300)
     assert check([str(path)]) == 2
-    assert "dome.xyz:2: has no three numbers" in capsys.readouterr().err
+    assert "dome.xyz:2: does not hold three numbers" in capsys.readouterr().err
 
 
 def test_the_verifiers_sheets_know_how_sure_they_are(tmp_path: Path) -> None:

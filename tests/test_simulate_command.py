@@ -62,7 +62,7 @@ def test_an_interrupt_while_it_is_being_imported_is_quiet(command: str, package:
     ("words", "said"),
     [
         ("board --fault dorp@3", "did you mean drop?"),
-        ("stream --fault drop", "is no fault"),
+        ("stream --fault drop", "is not a fault"),
         ("controller --port 0 --web-fault dorp@3", "did you mean drop?"),
         ("controller --port 0 --ftp-port 0 --ftp-fault cat@3", "did you mean cut?"),
         ("controller --certificate x", "needs its key"),

@@ -201,7 +201,7 @@ def test_idea_maker_and_its_scarfs(read: Read, build: Build) -> None:
     assert scarf.width[0] < 0.3 * scarf.width[-1], "but the flow is the file's"
     notes = "\n".join(toolpath.notes)
     assert "part.gcode: 1 piece rises within its layer and is laid level, as high as it ends" in notes
-    assert "M221 is the slicer's own compensation of the filament: 94% of E is laid" in notes
+    assert "M221 is the slicer's own filament compensation: 94% of E is laid" in notes
     assert "1 piece of skirt (SKIRT), 0.030 m, printed" in notes
     assert len(build(IDEAMAKER, "layers.source.leave_out=[skirt]").beads) == 1
 
@@ -257,16 +257,14 @@ def test_beads_hold_what_the_files_filament_holds(build: Build) -> None:
     thick = build(f"; filament_diameter = 2.85\n{TWO_LINES}", "process.bead.section=rectangle")
     assert thick.beads[0].width == pytest.approx(plain.beads[0].width * (2.85 / 1.75) ** 2)
     assert (
-        "part.gcode: its E counts a filament of 2.85 mm, as it says; process.filament_diameter_mm is what yours pushes"
+        "part.gcode: its E is for 2.85 mm filament, as it says; process.filament_diameter_mm is what your extruder pushes"
         in (thick.notes)
     )
-    unsaid = (
-        "part.gcode: does not say what filament its E counts; one of 1.75 mm is taken, process.filament_diameter_mm"
-    )
+    unsaid = "part.gcode: does not say what filament its E is for; 1.75 mm is used, from process.filament_diameter_mm"
     assert unsaid in plain.notes and unsaid not in thick.notes
     given = build(f"; filament_diameter = 2.85\n{TWO_LINES}", "layers.source.filament_diameter_mm=1.75")
     assert (
-        "part.gcode: says that its E counts a filament of 2.85 mm; layers.source.filament_diameter_mm, 1.75 mm, is taken"
+        "part.gcode: says that its E is for 2.85 mm filament; layers.source.filament_diameter_mm, 1.75 mm, is used"
         in (given.notes)
     )
     said = build(

@@ -104,7 +104,7 @@ def test_processes_end_with_the_iteration() -> None:
 
 
 def test_what_cannot_be_spread_is_told() -> None:
-    with pytest.raises(TypeError, match="cannot be found by its name"):
+    with pytest.raises(TypeError, match="cannot be imported by name"):
         results(lambda item: item, [1, 2], jobs=2)
     for jobs in (0, 1000):
         with pytest.raises(InputError, match="is not a number of processes"):
@@ -113,7 +113,7 @@ def test_what_cannot_be_spread_is_told() -> None:
 
 @pytest.mark.parametrize("address", ["localhost:8786", "tcp://localhost", "http://a:1", "tcp://:1", "tcp://a b:1", ""])
 def test_what_is_no_address(address: str) -> None:
-    with pytest.raises(InputError, match=r"--scheduler: .* is no address"):
+    with pytest.raises(InputError, match=r"--scheduler: .* is not an address"):
         results(square, [1], scheduler=address)
 
 
@@ -152,7 +152,7 @@ def test_a_cluster(scheduler: tuple[str, Any], monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(RuntimeError, match=r"test_spread.bug failed on a worker: KeyError"):
         results(bug, [1], scheduler=address)
     monkeypatch.setattr(cluster_module, "program_of", _changing())
-    with pytest.raises(InputError, match=r"has another program: numpy 1.0 instead of numpy 2.0 .*same version"):
+    with pytest.raises(InputError, match=r"runs a different program: numpy 1.0 instead of numpy 2.0 .*same version"):
         results(square, [1], scheduler=address)
 
 

@@ -389,8 +389,8 @@ def test_wrong_files_are_refused(tmp_path: Path) -> None:
     curve_only = good.replace(b"ADVANCED_FACE", b"ADVANCED_FICE")
     cases = {
         "no.step": (None, "there is no file"),
-        "empty.step": (b"", "is no STEP file"),
-        "mesh.step": (b"solid x\nendsolid x\n", "is no STEP file"),
+        "empty.step": (b"", "is not a STEP file"),
+        "mesh.step": (b"solid x\nendsolid x\n", "is not a STEP file"),
         "short.step": (good[: len(good) // 2], "its end is missing"),
         "faceless.step": (curve_only, "holds no face"),
     }
@@ -435,7 +435,7 @@ def test_damaged_files_never_end_the_planner(tmp_path: Path, seed: int) -> None:
         ("part.step.thickness_mm=-1", ("part.step.thickness_mm", "0 to 1000")),
         ("layers.source.tolerance_mm=0", ("layers.source.tolerance_mm", "1e-06 to 1")),
         ("layers.source.weight=2 layers.source.path=rows", ("layers.source.weight", "path rows", "weighted_greedy")),
-        ("layers.source.start_mm=[0,0,0] layers.source.path=tour", ("layers.source.start_mm", "where it likes")),
+        ("layers.source.start_mm=[0,0,0] layers.source.path=tour", ("layers.source.start_mm", "chooses its own start")),
         ("layers.source.direction=u layers.source.path=rows", ("layers.source.direction", "path rows")),
         ("part={sphere: {radius_mm: 50}}", ("part", "step")),
     ],

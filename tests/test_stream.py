@@ -394,7 +394,7 @@ def until_over(there: StreamServer) -> str:
     [
         ("drop@30", "lost", "connection lost"),
         ("stop@30", "stopped at the controller", "stopped at the controller"),
-        ("garbage@30", "means nothing", "the PC asked for it"),
+        ("garbage@30", "is not understood", "the PC asked for it"),
     ],
 )
 def test_whatever_goes_wrong_stops_both(fault: str, said: str, there_said: str) -> None:
@@ -412,7 +412,7 @@ def test_a_stop_tells_which_bead_was_begun_and_how_to_go_on() -> None:
         pytest.raises(StreamStopped),
     ):
         send(stream, *there.address, told.append, planned=GoingOn("my.yaml", " --strategy sqp"))
-    assert told[-2].startswith("bead 0 was begun, or the way there")
+    assert told[-2].startswith("bead 0 or the way to it was begun")
     assert told[-1] == "to go on: python -m planner.solve my.yaml --from-bead 0 --strategy sqp"
 
 
@@ -477,7 +477,7 @@ def test_the_command(tmp_path, capsys, monkeypatch) -> None:
     for path in (other, next(tmp_path.glob("TwoBeads.mod"))):
         before = path.read_text()
         assert main([str(tmp_path), "--server", str(path)]) == 2 and path.read_text() == before
-        assert f"{path.name}: holds something else than BeadwiseStream.mod" in capsys.readouterr().err
+        assert f"{path.name}: is not BeadwiseStream.mod" in capsys.readouterr().err
     assert main([str(tmp_path), "--server", str(made)]) == 0
     with pytest.raises(InputError, match="no RAPID program"):
         program_in(tmp_path / "nowhere")

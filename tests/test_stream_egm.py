@@ -165,7 +165,7 @@ def test_it_waits_until_the_robot_runs() -> None:
         (lambda h: replace(h, running=False), "has stopped"),
         (lambda h: replace(h, joints=h.joints + [0.0, 1.3 * DEVIATION]), "axis 2 is .* away"),
         (lambda h: replace(h, joints=h.joints[:1]), "1 axes, the plan 2"),
-        (lambda h: replace(h, joints=h.joints * np.nan), "no numbers"),
+        (lambda h: replace(h, joints=h.joints * np.nan), "not numbers"),
     ],
 )
 def test_whatever_is_odd_stops_it(spoil, reason: str) -> None:
@@ -281,10 +281,10 @@ def test_a_table_of_other_steps_is_resampled(tmp_path) -> None:
         (lambda d: d.update(verified=False), "not verified"),
         (lambda d: d.pop("cell"), "not a plan of this version"),
         (lambda d: d["cell"]["joints"].pop(0), "6 axes"),
-        (lambda d: d["cell"]["joints"][0].update(v_max=0.0), "no positive number"),
+        (lambda d: d["cell"]["joints"][0].update(v_max=0.0), "not a positive number"),
         (lambda d: d["cell"]["joints"][0].update(name="elbow"), "no column 'elbow'"),
         (lambda d: d["cell"].update(holder_axes=3), "not a plan of this version"),
-        (lambda d: d["cell"]["joints"][1].update(controller_offset=np.nan), "an angle that is no number"),
+        (lambda d: d["cell"]["joints"][1].update(controller_offset=np.nan), "an angle is not a number"),
     ],
 )
 def test_what_is_no_plan_is_told(spoil, reason: str, tmp_path) -> None:
@@ -348,7 +348,7 @@ def test_a_stop_tells_which_bead_was_begun_and_how_to_go_on() -> None:
         with pytest.raises(EgmStopped, match="the controller has stopped"):
             egm.follow(plan, Wire(stops), told.append, planned=GoingOn("my.yaml", " --strategy sqp"))
         assert told[-2:] == [
-            f"bead {bead} was begun, or the way there: look whether the one before is whole",
+            f"bead {bead} or the way to it was begun: check whether the bead before it is complete",
             f"to go on: python -m planner.solve my.yaml --from-bead {bead} --strategy sqp",
         ]
     assert [plan.begun(sample) for sample in (0.0, 39.9, 40.0)] == [7, 7, 8]
@@ -409,7 +409,7 @@ def test_garbage_is_survived_and_told(at: tuple[int, ...]) -> None:
     references, robot = wired(tuple(f"garbage@{k}" for k in at), said.append)
     np.testing.assert_allclose(robot.joints() * DEGREES, short().q[-1], atol=0.2 * DEGREES)
     assert (np.abs(np.diff(references, axis=0)) <= 3.000001 * PERIOD).all()
-    assert sum("sent what is no EGM message of a controller" in text for text in said) == 1
+    assert sum("sent something that is not an EGM message of a controller" in text for text in said) == 1
 
 
 @contextmanager

@@ -189,7 +189,7 @@ def test_a_lean_is_advised_where_it_gives_a_verified_plan(tmp_path: Path, down_m
     lean = [hint for hint in caught.value.hints if hint.startswith("process.cones.nozzle_normal_deg: ")]
     assert all("gives a verified plan" in hint for hint in lean)
     assert len(lean) == helps
-    assert caught.value.hints[-1].startswith("a slenderer nozzle")
+    assert caught.value.hints[-1].startswith("a slimmer nozzle")
 
 
 @pytest.mark.slow

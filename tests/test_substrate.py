@@ -336,20 +336,20 @@ def damaged(data: bytes, text: bytes) -> dict[str, tuple[bytes, str]]:
     huge = bytearray(data[:84])
     huge[80:84] = np.uint32(10_000_000).tobytes()
     return {
-        "empty": (b"", "is no STL file: it has 0 bytes"),
+        "empty": (b"", "is not an STL file: it has 0 bytes"),
         "short": (b"solid x", "holds no facets"),
         "no facets": (bytes(80) + np.uint32(0).tobytes(), "holds no facets"),
-        "no facets in words": (b"solid x\nendsolid x\n" + b" " * 80, "no STL file|holds no facets"),
-        "cut": (data[:-30], "announces 320 facets and has room for 319"),
+        "no facets in words": (b"solid x\nendsolid x\n" + b" " * 80, "not an STL file|holds no facets"),
+        "cut": (data[:-30], "announces 320 facets but has room for 319"),
         "cut text": (text[: len(text) // 2], "is damaged"),
         "words for numbers": (text.replace(b"vertex ", b"vertex x", 3), "is damaged"),
-        "not a file of facets": (b"<svg/>" * 100, "is no STL file, or damaged"),
-        "lines": (data[:84] + flat.tobytes(), "no facet that has an area"),
-        "nan": (bytes(nan), "a corner that is no number"),
+        "not a file of facets": (b"<svg/>" * 100, "is not an STL file, or is damaged"),
+        "lines": (data[:84] + flat.tobytes(), "no facet with an area"),
+        "nan": (bytes(nan), "a corner that is not a number"),
         "far": (far.export(file_type="stl"), "farther than"),
         "inside out": (inside_out.export(file_type="stl"), "inside out"),
         "open": (cap.export(file_type="stl"), "no curve falls onto|leaves the part"),
-        "too many": (bytes(huge), "announces 10000000 facets and has room for 0"),
+        "too many": (bytes(huge), "announces 10000000 facets but has room for 0"),
     }
 
 

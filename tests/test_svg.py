@@ -343,7 +343,7 @@ def test_what_no_one_sees_is_left_out_and_told(tmp_path: Path) -> None:
     frame = '<path id="frame" fill="none" d="M-9-9h99v99h-99z"/>'
     line = '<path id="line" stroke="red" d="M0 0L30 0L30 9"/><rect class="a" width="70" height="70"/>'
     line = f'<g fill="none">{line}</g>'
-    unseen = "with neither fill nor stroke, which no one sees, left out"
+    unseen = "with neither fill nor stroke, hence invisible, left out"
     style = "<style>.a{stroke:transparent}</style>"
     assert read(frame + line + style) == (["line"], (f"2 shapes {unseen}",))
     assert read(frame) == (["frame"], ())

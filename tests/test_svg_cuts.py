@@ -164,7 +164,7 @@ REFUSALS = [
         1,
         "cut by itself",
     ),
-    (f'<clipPath id="c"><g>{LINE}</g></clipPath><g clip-path="url(#c)">{LINE}</g>', 1, "<g> cannot stand in"),
+    (f'<clipPath id="c"><g>{LINE}</g></clipPath><g clip-path="url(#c)">{LINE}</g>', 1, "<g> is not allowed in"),
     (
         f'<clipPath id="c" clipPathUnits="objectBoundingBox">{LINE}</clipPath>\n<g clip-path="url(#c)">{LINE}</g>',
         1,

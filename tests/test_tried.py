@@ -161,6 +161,6 @@ def test_normals_that_point_down_may_be_meant_the_other_way(tmp_path: Path) -> N
     with pytest.raises(Refusal) as caught:
         solve(problem)
     first = caught.value.hints[0]
-    assert first.startswith("layers.source.normals: outward (they point down on the whole) gives a verified plan")
+    assert first.startswith("layers.source.normals: outward (they mostly point down) gives a verified plan")
     upward = problem_of(tmp_path)
     assert hints_that_hold(upward, build_toolpath(upward), (), Planner(lambda _: True)) == ()

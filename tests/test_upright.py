@@ -44,10 +44,10 @@ def test_a_nozzle_in_the_plate_is_refused_with_the_height_that_clears_it(tmp_pat
     given = wall(tmp_path, height_mm)
     with pytest.raises(Blocked, match=r"of print head with plate \(plate\)") as caught:
         check_upright(given)
-    lacks = float(str(caught.value).partition("lacks ")[2].partition(" mm")[0])
+    lacks = float(str(caught.value).partition("every posture lacks ")[2].partition(" mm")[0])
     assert lacks == pytest.approx(TUBE - height_mm, abs=1.0)  # points stand for the plate
     least = next(more for more in RAISES if height_mm + more > TUBE)
-    assert f"; {least:g} mm higher on its plate the part would be clear" in str(caught.value)
+    assert f"; the part would be clear {least:g} mm higher on its plate" in str(caught.value)
     (change,) = caught.value.hints
     assert isinstance(change, Change)
     heights = [more for more in RAISES if more >= least][:2]

@@ -314,8 +314,8 @@ def test_a_part_that_is_moved_cannot_be_said(tmp_path: Path) -> None:
 
 def test_other_arms_cannot_be_told() -> None:
     plan = make_plan(positioner=False)
-    assert "ABB IRB 140-6/0.8 is no arm of Universal Robots" in str(unsupported_in_urscript(plan))
-    with pytest.raises(ValueError, match="no arm of Universal Robots"):
+    assert "ABB IRB 140-6/0.8 is not a Universal Robots arm" in str(unsupported_in_urscript(plan))
+    with pytest.raises(ValueError, match="not a Universal Robots arm"):
         LANGUAGES["urscript"].write(plan)
 
 
@@ -413,11 +413,11 @@ def test_a_program_that_says_something_else_is_found(
         ("movep(", "servoj(", "unknown statement"),
         ("v=0.0447", "v=nan", "unknown statement"),
         ("v=0.04472", "v=0.00000", "must be positive"),
-        ("bead_0002()\n", "bead_0009()\n", "bead_0009 is no function"),
+        ("bead_0002()\n", "bead_0009()\n", "bead_0009 is not a function"),
         ("def bead_0002", "def bead_0001", "twice"),
-        ("  def bead_0001", "  def inner():\n  def bead_0001", "in another one"),
+        ("  def bead_0001", "  def inner():\n  def bead_0001", "inside another function"),
         ("  global part", "  set_tcp(p[0, 0, 0, 0, 0, 0])\n  global part", "twice"),
-        ("  finish()", "  TwoBeads()", "TwoBeads is no function"),
+        ("  finish()", "  TwoBeads()", "TwoBeads is not a function"),
         ("\nend\n", "\n", "no complete program"),
         ("\nend\n", "\nend\nend\n", "outside the program"),
         ("set_standard_digital_out(1", "set_standard_digital_out(8", "unknown statement"),

@@ -108,9 +108,9 @@ def test_all_mistakes_of_a_file_are_told_once(tmp_path: Path) -> None:
 
 
 def test_file_that_is_gone_is_waited_for(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"is gone \(the view goes on"):
+    with pytest.raises(InputError, match=r"is gone \(the view resumes"):
         read_content(tmp_path / "a.yaml", ())
-    with pytest.raises(InputError, match="and its folder with it"):
+    with pytest.raises(InputError, match="and so is its folder"):
         read_content(tmp_path / "b" / "a.yaml", ())
 
 
@@ -306,7 +306,7 @@ def test_solve_that_a_newer_save_overtakes_and_solver_that_dies(fake: Path, capf
         await page.until(lambda state: (state["panes"][0]["running"] or {}).get("stage") == "resolve")
         save(fake, "speed_mm_s: 17", "speed_mm_s: 13")
         state = await page.until(lambda state: state["trouble"])
-        assert state["trouble"]["text"] == "the solver ended before its time"
+        assert state["trouble"]["text"] == "the solver ended unexpectedly"
         assert state["trouble"]["hint"] == "a solver's last words"
         save(fake, "speed_mm_s: 13", "speed_mm_s: 40")
         await page.until(shown("4-whole"))

@@ -139,7 +139,7 @@ def test_the_address_is_exchanged_for_a_cookie(opened: Opened) -> None:
     assert page.evaluate("document.cookie") == "" and "/enter/" not in page.evaluate("document.referrer")
     other = page.context.browser.new_context().new_page()
     answer = other.goto(page.url)
-    assert answer.status == 403 and "stands in the terminal" in other.inner_text("body")
+    assert answer.status == 403 and "is shown in the terminal" in other.inner_text("body")
     page.go_back()
     assert "/enter/" not in page.url
 

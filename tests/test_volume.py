@@ -542,9 +542,7 @@ def test_a_small_hole_is_closed_and_told_a_wide_one_refused_with_what_would_do(t
     setting = "layers.source.close_holes_mm"
     enough = str(caught.value).partition(f"{setting}: ")[2].split()[0]
     assert same_beads(laid(tmp_path, strip, f"{setting}={enough}"), whole)
-    with pytest.raises(
-        InputError, match=r"21\.4% of its surface would be what closes holes, more than 5%.* 0\.47 closes"
-    ):
+    with pytest.raises(InputError, match=r"21\.4% of its surface would be closed holes, more than 5%.* 0\.47 closes"):
         laid(tmp_path, facets[200:])
     with pytest.raises(InputError, match=r"1 hole wider than 0\.4 mm"):
         laid(tmp_path, np.delete(facets, 40, axis=0), f"{setting}=0.4")
@@ -555,9 +553,9 @@ def test_a_surface_and_what_has_one_side_are_no_bodies(tmp_path: Path) -> None:
     top = facets[(facets[:, :, 2] == 3.0).all(axis=1)]
     with pytest.raises(InputError, match="is not closed: 1 hole wider") as caught:
         laid(tmp_path, top)
-    assert "a surface is no body: print on it as part.mesh" in str(caught.value)
+    assert "a surface is not a body: print on it as part.mesh" in str(caught.value)
     assert "close_holes_mm" not in str(caught.value)
-    with pytest.raises(InputError, match=r"has facets that face opposite ways .* one side only"):
+    with pytest.raises(InputError, match=r"has facets that face opposite ways .* only one side"):
         laid(tmp_path, one_sided())
 
 
@@ -590,7 +588,7 @@ def test_what_begins_in_the_air_beside_the_body_is_told_of(tmp_path: Path) -> No
 def test_a_body_that_begins_above_the_bed_is_told_of(tmp_path: Path) -> None:
     toolpath = built(tmp_path, block(flat(7.0), foot=4.0))
     assert toolpath.notes[-1] == (
-        "block.stl: begins 4.000 mm above the bed (z = 0), on nothing that layers.lower names; "
+        "block.stl: begins 4.000 mm above the bed (z = 0), and layers.lower names nothing beneath it; "
         "layers.source.origin_mm: [0, 0, -4] stands it on the bed"
     )
     lower = built(tmp_path, block(flat(7.0), foot=4.0), "  lower: {z_mm: 4}")

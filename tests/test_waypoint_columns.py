@@ -196,9 +196,13 @@ def numbers(*columns: np.ndarray) -> str:
     ("text", "reason", "hint"),
     [
         ("x,y,z,nx,ny,nz\nm,m,m,-,-,-\n0,0,0,0,0,1\n1,0,0,0,0,1\n", "column x is in m, but", "unit: m"),
-        ("0 0 0 0.6 0 0.8 0\n1 0 0 0 0.7071 0.7071 0\n2 0 0 0.5 0.5 0.5 0.5\n", "a quaternion a line", "nx ny nz"),
-        (numbers(PLACES, QUATERNIONS, TURNS), "a quaternion a line, as of tool poses", "nx ny nz"),
-        (numbers(TURNS, PLACES, QUATERNIONS), "as of tool poses in columns 5 to 8", "nx ny nz"),
+        (
+            "0 0 0 0.6 0 0.8 0\n1 0 0 0 0.7071 0.7071 0\n2 0 0 0.5 0.5 0.5 0.5\n",
+            "a quaternion in each line",
+            "nx ny nz",
+        ),
+        (numbers(PLACES, QUATERNIONS, TURNS), "a quaternion in each line, as in tool poses", "nx ny nz"),
+        (numbers(TURNS, PLACES, QUATERNIONS), "as in tool poses in columns 5 to 8", "nx ny nz"),
         (numbers(POSES.reshape(5, 12), LAST), "the matrix of a pose", "its position and the direction"),
         (numbers(POSES.reshape(5, 12)), "the matrix of a pose", "its position and the direction"),
         (numbers(COLUMNWISE), "the matrix of a pose", "its position and the direction"),
@@ -210,12 +214,12 @@ def numbers(*columns: np.ndarray) -> str:
         (
             numbers(PLACES, AXES.transpose(0, 2, 1).reshape(5, 9)),
             "a point and the three axes",
-            "of the axes the direction",
+            "of the axes, write only the direction",
         ),
         (
             numbers(np.arange(5.0), PLACES, AXES[:, :, 2]),
             "directions in columns 5 to 7, not in 4 to 6",
-            "a line of names",
+            "name the columns",
         ),
         (
             f"t,a,b,c,nx,ny,nz\n{numbers(np.arange(5.0), PLACES, AXES[:, :, 2])}",
@@ -285,7 +289,7 @@ def test_angles_without_names_are_told(spec: Callable[..., WaypointsSpec]) -> No
 
 def test_columns_that_mean_nothing_are_told(spec: Callable[..., WaypointsSpec]) -> None:
     found = read_waypoints(spec("a.csv", csv(line(3, speed=1, qw=2))))
-    assert found.notes == ("a.csv: columns that are not used: speed, qw",)
+    assert found.notes == ("a.csv: unused columns: speed, qw",)
 
 
 @given(st.data())
@@ -343,7 +347,7 @@ WRONG = [
     ("a.csv", "x,y,z,nx,ny\n0,0,0,0,1\n", 1, "column nz is missing", "x y z nx ny nz"),
     ("a.csv", "x,y,z\n0,0,0\n1,0,0\n", 1, "columns nx, ny, nz are missing", ""),
     ("a.csv", f"{HEADER},widht\n{GOOD},1\n", 1, "unknown column 'widht'", "did you mean width?"),
-    ("a.csv", f"{HEADER},x\n{GOOD},1\n", 1, "column x is there twice", ""),
+    ("a.csv", f"{HEADER},x\n{GOOD},1\n", 1, "column x occurs twice", ""),
     ("a.csv", f"x_m,y_m,z_m,nx,ny,nz\n{GOOD}\n", 1, "column x is in m, but layers.source.unit is mm", "unit: m"),
     ("a.csv", f"x_in,y_in,z_in,nx,ny,nz\n{GOOD}\n", 1, "column x is in in", "lengths are read in mm or m"),
     ("a.csv", f"# X [inch] Y [inch] Z [inch] nx ny nz\n{GOOD}\n", 1, "column x is in inch", "mm or m"),
@@ -354,14 +358,14 @@ WRONG = [
     ("a.csv", f"{HEADER},height\n{GOOD},1\n1,0,0,0,0,1,nan\n", 3, "'nan' is not a number", ""),
     ("a.csv", f"{HEADER},layer\n{GOOD},1\n1,0,0,0,0,1,1.5\n", 3, "layer is 1.5", "whole number"),
     ("a.csv", f"{HEADER},bead\n{GOOD},1\n1,0,0,0,0,1,1e9\n", 3, "bead is 1e+09", "whole number"),
-    ("a.csv", f"{HEADER},bead\n{GOOD},1\n1,0,0,0,0,1,2\n2,0,0,0,0,1,2\n", 2, "is all of its bead", "two"),
+    ("a.csv", f"{HEADER},bead\n{GOOD},1\n1,0,0,0,0,1,2\n2,0,0,0,0,1,2\n", 2, "is the only one of its bead", "two"),
     ("a.csv", f"{HEADER}\n{GOOD}\n1,0,0,0,0,0\n", 3, "the normal is zero", "direction"),
     ("a.csv", f"{HEADER}\n{GOOD}\n", None, "no two different waypoints", ""),
     ("a.csv", f"{HEADER}\n", None, "holds no waypoints", ""),
     ("a.obj", "v 0 0 0\nv 1 0 0\nvn 0 0 1\n", None, "has 2 points (v) and 1 normals (vn)", "a normal for each"),
     ("a.obj", "vn 0 0 1\n", None, "has 0 points (v) and 1 normals (vn)", ""),
-    ("a.obj", "v 0 0 0\nvn 0 0 1\nv 1 0\nvn 0 0 1\n", 3, "is no point or normal of three numbers", ""),
-    ("a.obj", "v 0 0 0\nvn 0 0 1\nv 1 0 z\nvn 0 0 1\n", 3, "is no point or normal of three numbers", ""),
+    ("a.obj", "v 0 0 0\nvn 0 0 1\nv 1 0\nvn 0 0 1\n", 3, "is not a point or normal of three numbers", ""),
+    ("a.obj", "v 0 0 0\nvn 0 0 1\nv 1 0 z\nvn 0 0 1\n", 3, "is not a point or normal of three numbers", ""),
     ("a.npz", packed(**(line(3) | {"z": np.array([0, np.nan, 0])})), 2, "'nan' is not a number", ""),
     ("a.npz", packed(**(line(3) | {"nz": np.array([1, 1, 0])})), 3, "the normal is zero", ""),
     ("a.npz", packed(**(line(3) | {"y": np.zeros(4)})), None, "array y has 4 numbers, x has 3", ""),
@@ -373,9 +377,9 @@ WRONG = [
     ("a.npz", packed(**{k: v for k, v in line(3).items() if k != "nz"}), None, "column nz is missing", ""),
     ("a.npz", packed(**line(0)), None, "holds no waypoints", ""),
     ("a.npz", packed(**line(1)), None, "no two different waypoints", ""),
-    ("a.npz", b"x,y,z", None, "is no NPZ file", "numpy.savez"),
-    ("a.npz", packed(**line(3))[:-40], None, "is no NPZ file", "numpy.savez"),
-    ("a.npz", b"", None, "is no NPZ file", "numpy.savez"),
+    ("a.npz", b"x,y,z", None, "is not an NPZ file", "numpy.savez"),
+    ("a.npz", packed(**line(3))[:-40], None, "is not an NPZ file", "numpy.savez"),
+    ("a.npz", b"", None, "is not an NPZ file", "numpy.savez"),
 ]  # fmt: skip
 
 
@@ -407,7 +411,7 @@ def test_nothing_is_written_for_a_bad_file(
 def test_a_file_in_metres_is_told_from_one_in_millimetres_by_its_size(tmp_path: Path) -> None:
     """A line of 120 mm, written in metres; and read so, it is one."""
     (tmp_path / "a.csv").write_text(csv(line(121) | {"x": np.linspace(0.0, 0.12, 121)}))
-    told = "all of it is 0.12 x 0 x 0 mm large; of a file in metres (layers.source.unit: m) it would be 120 x 0 x 0 mm"
+    told = "it measures only 0.12 x 0 x 0 mm; read in metres (layers.source.unit: m) it would measure 120 x 0 x 0 mm"
     with pytest.raises(InputError, match=r"is only 0\.1200 mm long") as caught:
         build_toolpath(load_problem(case_text(tmp_path, "a.csv")))
     assert caught.value.hint == told
@@ -449,7 +453,7 @@ def test_an_array_that_lies_about_its_size_is_refused(spec: Callable[..., Waypoi
     with zipfile.ZipFile(stream, "w") as archive:
         for entry, data in parts.items():
             archive.writestr(entry, data)
-    with pytest.raises(InputError, match="no NPZ file"):
+    with pytest.raises(InputError, match="not an NPZ file"):
         read_waypoints(spec("a.npz", stream.getvalue()))
 
 

@@ -391,7 +391,7 @@ def test_flat_strips_cover_what_they_say() -> None:
 # Problems
 
 MISTAKES = [
-    ("aerofoil: naca0015_arigela.dat", 'naca: "15"', "layers.source.naca", "no section of four digits", '"0015"'),
+    ("aerofoil: naca0015_arigela.dat", 'naca: "15"', "layers.source.naca", "not a four-digit section", '"0015"'),
     ("aerofoil: naca0015_arigela.dat", "naca: 2412", "layers.source.naca", "in quotes", '"0015"'),
     ("aerofoil: naca0015_arigela.dat", 'naca: "0400"', "layers.source.naca", "no thickness", '"0015"'),
     ("aerofoil: naca0015_arigela.dat", 'naca: "2012"', "layers.source.naca", "camber without its place", "both 0"),

@@ -1,4 +1,4 @@
-"""A print that ships: planned, verified, written, and looked at as arrays."""
+"""A print that ships: planned, verified, written, and examined as arrays."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""One problem at several speeds and leans of the nozzle: changes by keyword and by dictionary."""
+"""One problem at several speeds and tilts of the nozzle: changes by keyword and by dictionary."""
 
 from planner import load, solve
 

@@ -1,4 +1,4 @@
-"""Wrong input and prints that cannot be: both are told in a sentence, with the place and what would help."""
+"""Wrong input and impossible prints: both are reported in a sentence, with the place and what would help."""
 
 import numpy as np
 

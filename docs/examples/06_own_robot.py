@@ -1,4 +1,4 @@
-"""A robot from its URDF: the file is made once, then it is yours to change."""
+"""A robot from its URDF: the file is generated once, then it is yours to change."""
 
 from planner import add_robot, load, solve
 from planner.base.shipped import ROBOTS

@@ -1,4 +1,4 @@
-"""A cost of one's own: joint 5 keeps away from 0, where the wrist is singular, if that costs little time."""
+"""Your own cost term: joint 5 keeps away from 0, where the wrist is singular, if that costs little time."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A strategy of one's own: the constant roll that keeps the joints slowest, beside the planner's."""
+"""Your own strategy: the constant roll that keeps the joints slowest, alongside the planner's."""
 
 import numpy as np
 

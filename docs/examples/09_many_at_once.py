@@ -1,4 +1,4 @@
-"""Where should the bed stand? Many problems, some of which have no plan, in one go."""
+"""Where should the bed stand? Many problems, some of them without a plan, in one go."""
 
 from planner import load, solve_all
 

@@ -1,1 +1,1 @@
-"""What every room stands on: errors, array types, processes, results folders, and how commands start."""
+"""Used by all other packages: errors, array types, processes, results folders, and how commands start."""

@@ -1,4 +1,4 @@
-"""Arguments of functions that users call: what is of another kind than it may be is told by the argument's name."""
+"""Checks of arguments of functions that users call: an error for a wrong type names the argument."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Wanted = TypeVar("Wanted")
 
 
 def kind_of(value: object) -> str:
-    """What kind of value was given where another was expected."""
+    """What kind of value was given where another was expected, in words."""
     return "nothing" if value is None else f"of type {type(value).__name__}"
 
 
 def as_path(value: object, field: str) -> Path:
-    """A path from a text or a path. Raises InputError for anything else, and for an empty text."""
+    """A path from a string or a path. Raises InputError for anything else, and for an empty string."""
     if isinstance(value, (str, os.PathLike)) and isinstance(name := os.fspath(value), str):
         if name:
             return Path(name)
@@ -46,20 +46,20 @@ def as_index(value: object, field: str) -> int:
 
 
 def as_list(value: object, field: str, of: str) -> tuple[Any, ...]:
-    """The items of a list, tuple or the like. Raises InputError for anything else, and for a text."""
+    """The items of a list, tuple or the like. Raises InputError for anything else, and for a string."""
     if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
         return tuple(value)
     raise InputError(f"must be a list of {of}, not {kind_of(value)}", field=field)
 
 
 def as_one_of(value: object, kind: type[Wanted], field: str, hint: str) -> Wanted:
-    """A value of a kind. Raises InputError for anything else."""
+    """A value of type `kind`. Raises InputError for anything else."""
     if isinstance(value, kind):
         return value
     raise InputError(f"must be a {kind.__name__}, not {kind_of(value)}", field=field, hint=hint)
 
 
 def check_callable(value: object, field: str) -> None:
-    """Raise InputError for what cannot be called."""
+    """Raise InputError for a value that cannot be called."""
     if not callable(value):
         raise InputError(f"cannot be called: it is {kind_of(value)}", field=field)

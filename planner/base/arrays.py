@@ -1,4 +1,4 @@
-"""Types of arrays, and arrays that are read-only: to compiled code another type than one that may be written."""
+"""Array types, and read-only arrays, which for compiled code are of another type than writable ones."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Ints = NDArray[np.int64]
 Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-MAD_TO_SIGMA = 1.4826  # from the median of absolute deviations to the standard one, of a normal distribution
+MAD_TO_SIGMA = 1.4826  # × the median absolute deviation: the standard deviation of a normal distribution
 
 
 class ReadOnlyArrays:
@@ -24,19 +24,19 @@ class ReadOnlyArrays:
                 value.setflags(write=False)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy, or a value that another process sent, is read-only as well: to compiled code that is another type."""
+        """Copies, and values from another process, are read-only, too: compiled code treats that as another type."""
         vars(self).update(state)
         ReadOnlyArrays.__post_init__(self)
 
 
 def read_only(values: NDArray[Any]) -> NDArray[Any]:
-    """The same values in one piece of memory, read-only: what takes them, compiled, is compiled once."""
+    """The same values, contiguous and read-only, so that kernels that take them are compiled only once."""
     view = np.ascontiguousarray(values).view()
     view.setflags(write=False)
     return view
 
 
 def true_runs(flags: Flags) -> Indices:
-    """Where each run of true flags (n) begins, and the place behind its end (k, 2)."""
+    """For each run of true flags (n), its first index and the index after its last (k, 2)."""
     padded = np.concatenate([[False], flags, [False]])
     return np.flatnonzero(padded[1:] != padded[:-1]).reshape(-1, 2)

@@ -1,7 +1,7 @@
-"""What an input may cost at most: all limits of size in one table, each with its unit and its reason.
+"""Limits on the size of inputs: all in one table, each with its unit and its reason.
 
-A file is counted before it costs anything: before curves are rounded, before facets become a mesh, before blocks are taken
-apart. What exceeds its limit is an InputError that names what was counted, the limit, and what would fit.
+A file's contents are counted before they cost anything: before curves are rounded, facets become a mesh, or blocks are
+expanded. Exceeding a limit raises an InputError that names what was counted, the limit, and what would fit.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from planner.base.errors import Complaint, InputError
 
 @dataclass(frozen=True)
 class Limit:
-    """At most so many, of what, and why no more."""
+    """A greatest count, its unit, and the reason for it."""
 
     most: int
     unit: str
     reason: str
 
     def check(self, count: float, what: str, complain: Complaint, hint: str | None = None) -> None:
-        """Raise the InputError of `complain` where `count` is more than the limit; what: whose count it is."""
+        """Raise the InputError of `complain` if `count` exceeds the limit; what: how the message begins ("it has")."""
         if count > self.most:
             raise self.refusal(count, what, complain, hint)
 
     def refusal(self, count: float, what: str, complain: Complaint, hint: str | None = None) -> InputError:
         """The error that `check` raises; hint: what would fit."""
-        return complain(f"{what} {round(count):,} {self.unit}; at most {self.most:,} are taken", hint=hint)
+        return complain(f"{what} {round(count):,} {self.unit}; at most {self.most:,} are allowed", hint=hint)
 
 
 # Of the whole print, whatever its source
@@ -35,7 +35,7 @@ BEADS = Limit(50_000, "beads", "20,000 take five minutes on two cores: each has 
 BALLS = Limit(20_000_000, "places of the print to keep clear of", "0.4 kB each; flat beads have many")
 
 # Problem files
-YAML_BYTES = Limit(1_000_000, "bytes", "a problem is some 2 kB; curves stand in files of their own")
+YAML_BYTES = Limit(1_000_000, "bytes", "a problem is some 2 kB; curves are in files of their own")
 YAML_VALUES = Limit(20_000, "values", "a problem has about 100; each is checked by itself")
 YAML_DEPTH = Limit(20, "levels", "a problem's own fields go 5 deep")
 
@@ -58,16 +58,16 @@ MESH_FACETS = Limit(2_000_000, "facets", "read in 5 s with 1.5 GB as a binary ST
 STEP_BYTES = Limit(100_000_000, "bytes", "another process reads them, in 300 s at most")
 STEP_FACES = Limit(5_000, "faces", "read and converted in some 20 s")
 
-# Paths point by point
+# Paths given point by point
 WAYPOINT_BYTES = Limit(500_000_000, "bytes", "some five million waypoints")
 GCODE_BYTES = Limit(200_000_000, "bytes", "some six million moves: 40 s")
 GCODE_MOVES = Limit(4_000_000, "extruding moves", "40 bytes each in a list, and a waypoint or more")
 
 # Robots
-URDF_BYTES = Limit(20_000_000, "bytes", "meshes stand in files of their own")
+URDF_BYTES = Limit(20_000_000, "bytes", "meshes are in files of their own")
 LINKS = Limit(1_000, "links", "chains are walked link by link")
 
 
 def table() -> tuple[tuple[str, Limit], ...]:
-    """All limits by name, in the order in which they stand here."""
+    """All limits by name, in the order of their definition."""
     return tuple((name, value) for name, value in globals().items() if isinstance(value, Limit))

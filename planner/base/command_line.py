@@ -1,4 +1,4 @@
-"""What commands share: how their help looks, what their arguments may be, and how they end."""
+"""Shared by all commands: the layout of their help, types of arguments, and exit codes."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from planner.base.extras import missing_extra
 from planner.base.signals import ended_at_once
 from planner.base.signals import interrupted as was_interrupted
 
-# Begins a value, also of a list such as -10,20, in which parsers of Python 3.11 see an option.
+# Start of a negative value, or of a list such as -10,20: Python 3.11's argparse would take the latter for an option.
 NEGATIVE = re.compile(r"-\.?[0-9]")
 HELP_WIDTH = 78  # columns of a help, however wide the terminal is
-CONTINUED = " \\"  # ends a line of a command that goes on in the next one
-HELP_COLUMN = 26  # where the text of an option begins, so that most names stand beside theirs at 80 columns
+CONTINUED = " \\"  # ends a line of a command that continues on the next one
+HELP_COLUMN = 26  # where help texts begin: most option names then fit on the same line, in 80 columns
 
 
 def exit_code(
@@ -33,9 +33,9 @@ def exit_code(
     interrupted: str = "nothing was written",
     at_once: bool = False,
 ) -> int:
-    """The exit code of a command; whatever ends it before its time is said, an error with what would help.
+    """Run a command and return its exit code; interruptions and errors are reported, with hints where there are any.
 
-    at_once: it holds nothing but files, so that an interruption may end it wherever it is, see `ended_at_once`
+    at_once: the command holds nothing but files, so an interruption may end it anywhere, see `ended_at_once`
     """
     try:
         with _InterruptionsAsSuch(), ended_at_once(f"interrupted: {interrupted}") if at_once else nullcontext():
@@ -57,8 +57,8 @@ def exit_code(
 
 
 class _InterruptionsAsSuch:
-    """Whatever ends the block once an interruption has come is one, unless it is an error of ours: code in C that was
-    calling Python makes others of it."""
+    """After an interruption, turns any exception but our own errors back into KeyboardInterrupt: C code that called
+    Python may have replaced it."""
 
     def __enter__(self) -> None:
         pass
@@ -69,7 +69,7 @@ class _InterruptionsAsSuch:
 
 
 class _Help(argparse.HelpFormatter):
-    """Paragraphs are wrapped, lines that are indented stay as they are: examples and exit codes."""
+    """Wraps paragraphs, but leaves indented lines (examples and exit codes) as they are."""
 
     def __init__(self, prog: str, width: int | None = None) -> None:
         wide = min(HELP_WIDTH, shutil.get_terminal_size().columns - 2) if width is None else width
@@ -83,9 +83,9 @@ class _Help(argparse.HelpFormatter):
 class Command(argparse.ArgumentParser):
     """The parser of a command: description, options, examples and exit codes in one style, and `--version`.
 
-    examples  what somebody may type after `python -m planner.<name>`, or `beadwise <name>` → what it does
-    codes     exit code → when
-    notes     paragraphs below
+    examples  arguments after `python -m planner.<name>` or `beadwise <name>` → what they do
+    codes     exit code → when it is returned
+    notes     closing paragraphs
     """
 
     def __init__(
@@ -109,10 +109,10 @@ class Command(argparse.ArgumentParser):
         super().__init__(prog=prog, description=description, epilog=epilog, formatter_class=_Help)
         told = f"beadwise {version('beadwise')}"
         self._negative_number_matcher = NEGATIVE
-        self.add_argument("--version", action="version", version=told, help="tell the version, and stop")
+        self.add_argument("--version", action="version", version=told, help="print the version and exit")
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As every parser; an option that there is not is told with the one that was probably meant."""
+        """As in argparse; an unknown option is reported with the one that was probably meant."""
         options, unknown = self.parse_known_args(args, namespace)
         if unknown:
             known = [name for action in self._actions for name in action.option_strings]
@@ -122,7 +122,7 @@ class Command(argparse.ArgumentParser):
         return options
 
     def page(self) -> str:
-        """The help as it is printed, whatever the terminal's width."""
+        """The help, HELP_WIDTH columns wide whatever the terminal's width."""
         formatter, self.formatter_class = self.formatter_class, partial(_Help, width=HELP_WIDTH)
         try:
             return self.format_help()
@@ -130,12 +130,12 @@ class Command(argparse.ArgumentParser):
             self.formatter_class = formatter
 
     def error(self, message: str) -> NoReturn:
-        """As every parser, with the way to the help."""
-        super().error(f"{message}; --help shows what can be given")
+        """As in argparse, with a pointer to --help."""
+        super().error(f"{message}; --help lists arguments and options")
 
 
 def _lines(text: str, indent: int, glue: str = "", later: int = 6) -> str:
-    """Text in lines that are indented, the later ones as far as `later`; `glue` ends those that go on."""
+    """Text wrapped and indented, lines after the first by `later`; `glue` ends lines that continue."""
     wide = HELP_WIDTH - len(glue)
     return f"{glue}\n".join(
         textwrap.wrap(text, wide, initial_indent=" " * indent, subsequent_indent=" " * later, break_on_hyphens=False)
@@ -143,7 +143,7 @@ def _lines(text: str, indent: int, glue: str = "", later: int = 6) -> str:
 
 
 def yaml_file(text: str) -> Path:
-    """The type of an argument that is the path of a YAML file, which need not be there yet."""
+    """Argument type: the path of a YAML file, which need not exist yet."""
     path = Path(text)
     if path.suffix not in (".yaml", ".yml"):
         raise argparse.ArgumentTypeError(f"{text!r} does not end in .yaml")
@@ -151,7 +151,7 @@ def yaml_file(text: str) -> Path:
 
 
 def one_of(names: Sequence[str]) -> Callable[[str], str]:
-    """The type of an argument that is one of some names; the nearest is suggested for any other."""
+    """Argument type: one of some names; the nearest is suggested for any other."""
 
     def check(text: str) -> str:
         if text in names:
@@ -164,19 +164,19 @@ def one_of(names: Sequence[str]) -> Callable[[str], str]:
 
 
 def some_of(names: Sequence[str], least: int = 0) -> Callable[[str], tuple[str, ...]]:
-    """The type of an argument that is some of the names, `least` or more, each once, with commas between them."""
+    """Argument type: `least` or more of the names, each at most once, separated by commas."""
 
     def check(text: str) -> tuple[str, ...]:
         found = tuple(name.strip() for name in text.split(",") if name.strip())
         if len(found) < least or len(set(found)) < len(found) or not set(found) <= set(names):
-            raise argparse.ArgumentTypeError(f"{text!r}: each of {','.join(names)} once at most")
+            raise argparse.ArgumentTypeError(f"{text!r}: give each of {','.join(names)} at most once")
         return found
 
     return check
 
 
 def number_within(text: str, low: float, high: float, what: str) -> float:
-    """A number from low to high; of an option's type. Raises ArgumentTypeError, which says what it should be."""
+    """An option's number from low to high. Raises ArgumentTypeError, which says what it should be."""
     try:
         value = float(text)
     except ValueError:

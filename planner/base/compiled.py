@@ -1,5 +1,7 @@
-"""Compiled kernels: numba's decorator with a cache that knows of changes everywhere, or without one where none can be
-written; and when it compiles."""
+"""Compiled kernels: numba's decorator with a cache that notices changes in other files, too; reports on compilation.
+
+Where no cache can be written, kernels are compiled without one.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +30,23 @@ from numba.extending import intrinsic
 if sys.platform != "win32":
     import fcntl
 
-array_at: Any = np_carray  # in a kernel: the array of a shape at a pointer, in C's order
+array_at: Any = np_carray  # in a kernel: the C-ordered array of a given shape at a pointer
 
-SECONDS_A_KERNEL = 0.5  # of compiling, on two cores of a server of 2024: some 250 kernels take two minutes
-WORTH_TELLING = 10  # kernels: fewer are there in a few seconds
+SECONDS_A_KERNEL = 0.3  # s to wait per kernel on two ordinary cores; on a 2024 server 320 kernels take 65 s
+WORTH_TELLING = 10  # kernels: fewer compile within a few seconds
 
 
-# A division by zero gives what it gives in NumPy, kernels let other threads run, and what they compile is kept on disk.
-# That all have the same options spares a tenth of all compiling: numba compiles its own functions for each set of them.
+# Division by zero behaves as in NumPy, and kernels release the GIL. One set of options for all of them saves a tenth of
+# all compiling: numba compiles its own functions once per set.
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True, "boundscheck": None, "no_cfunc_wrapper": True}
 
 
 def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """As `numba.njit` with a cache; where numba finds no folder for it, the kernel is compiled without, and that is told.
+    """As `numba.njit` with a cache; where numba finds no folder for it, the kernel is compiled uncached, with a note.
 
-    numba looks in the folder NUMBA_CACHE_DIR, beside the sources, and in the user's cache folder. What it finds there is
-    used if nothing has changed that the kernel is made of: numba by itself looks at the kernel's own file alone, and goes
-    on with old code of kernels and constants of other files.
+    numba looks in the folder NUMBA_CACHE_DIR, next to the sources, and in the user's cache folder. Cached code is used
+    only if nothing the kernel depends on has changed: numba itself checks the kernel's own file alone, and would go on
+    using outdated kernels and constants from other files.
     """
     if function is None:
         return partial(njit, **options)
@@ -54,8 +56,8 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 def inner_njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """As `njit`, for kernels that only other kernels call.
 
-    They lack the code by which Python calls a kernel, which would be compiled with them, and again with each kernel that
-    calls them. Called from Python all the same, as tests do, they go through a kernel that is compiled for that each time.
+    They have no Python wrapper, which would be compiled with them and again with each kernel that calls them. If Python
+    calls them all the same, as tests do, a kernel that calls them is compiled for it in each process.
     """
     if function is None:
         return partial(inner_njit, **options)
@@ -64,7 +66,7 @@ def inner_njit(function: Callable[..., Any] | None = None, **options: Any) -> An
 
 
 class _InnerDispatcher(CPUDispatcher):  # type: ignore[misc]
-    """A kernel without what Python calls it by."""
+    """A kernel without a Python wrapper."""
 
     def __call__(self, *arguments: Any) -> Any:
         return _callable(self)(*arguments)
@@ -72,7 +74,7 @@ class _InnerDispatcher(CPUDispatcher):  # type: ignore[misc]
 
 @cache
 def _callable(kernel: Any) -> Any:
-    """A kernel that calls another one."""
+    """A kernel that calls another one, for use from Python."""
 
     @numba.njit
     def call(*arguments: Any) -> Any:
@@ -82,7 +84,7 @@ def _callable(kernel: Any) -> Any:
 
 
 def _cached(kernel: Any) -> Any:
-    """The kernel, which keeps on disk what it compiles, where it can."""
+    """The kernel, its compiled code cached on disk where possible."""
     try:
         kernel.enable_caching()
         _stamp(kernel._cache, kernel.py_func)
@@ -93,21 +95,21 @@ def _cached(kernel: Any) -> Any:
     return kernel
 
 
-_stamps: dict[str, str] = {}  # of each module with kernels, by its name
+_stamps: dict[str, str] = {}  # by name, of modules with kernels
 
 
 def _stamp(cached: Any, function: Any) -> None:
-    """Have the cached code of a function count for just this content of all that it is made of.
+    """Tie the cached code of a function to the present content of everything it depends on.
 
-    As its version, which numba looks at first: what was written before a class was renamed cannot even be read.
+    The stamp is stored as the version, which numba checks first: code cached before a class was renamed cannot be read.
     """
-    cached._cache_file._version = f"{numba.__version__} {_stamp_of(function)}"  # numba has no public way
-    cached._cache_file._source_stamp = ""  # of the file's time, which a checkout changes
+    cached._cache_file._version = f"{numba.__version__} {_stamp_of(function)}"  # numba has no public API for it
+    cached._cache_file._source_stamp = ""  # else the file's time, which a checkout changes
 
 
 def _stamp_of(function: Any) -> str:
-    """Digest of a module's file, of the constants and kernels that it imports, which stand above its first kernel, and of
-    the files of the tuples' types."""
+    """Digest of a module's file, the constants and kernels imported above its first kernel, and the files that define
+    its named tuples."""
     module = function.__module__
     if module not in _stamps:
         digest = hashlib.blake2b(Path(function.__code__.co_filename).read_bytes(), digest_size=16)
@@ -125,14 +127,16 @@ def _stamp_of(function: Any) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Kernels behind addresses: what calls them holds none of their code, so that they are compiled, and loaded, only where
-# somebody asks for their address. A call costs nanoseconds, but nothing is inlined.
+# Kernels called by address: their callers contain none of their code, so they are compiled and loaded only where their
+# address is requested. A call costs nanoseconds, but nothing is inlined.
 
 
 @cache
 def address_of(function: Callable[..., None], signature: str) -> int:
-    """The address in this process of a function compiled for C, whose signature is of numbers and pointers, as in
-    `void(CPointer(float64), int64)`; what it is made of is cached as of `njit`. Not to be handed to other processes."""
+    """The address of a function compiled for C, cached as with `njit`; valid in this process only.
+
+    Its signature consists of numbers and pointers, as in `void(CPointer(float64), int64)`.
+    """
     compiled: Any = CFunc(
         function, sigutils.normalize_signature(signature), locals={}, options={"error_model": "numpy"}
     )
@@ -148,14 +152,14 @@ def address_of(function: Callable[..., None], signature: str) -> int:
     return int(compiled.address)
 
 
-_held: list[Any] = []  # their code goes with them
+_held: list[Any] = []  # keeps compiled functions alive: their code would be freed with them
 
 
 def _call_at(typing: Any, address: Any, arguments: Any) -> Any:
-    """In a kernel: call the function at an address with a tuple of numbers, and of arrays in C's order, which it gets as
-    pointers to their first numbers."""
+    """In a kernel: call the function at an address with a tuple of numbers and C-ordered arrays, which are passed as
+    pointers to their first elements."""
     if any(isinstance(each, types.Array) and each.layout != "C" for each in arguments):
-        raise errors.TypingError("arrays behind an address have to be in C's order")
+        raise errors.TypingError("arrays passed by address must be in C order")
 
     def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         handed = []
@@ -175,28 +179,30 @@ call_at: Any = intrinsic(_call_at)
 
 
 # ----------------------------------------------------------------------------------------------------
-# How long it takes.
+# Compile time.
 
 
 def compile_sparingly() -> None:
-    """From now on in this process a kernel that another process compiles is waited for, and loaded; numba by itself would
-    compile it beside that. And options of kernels are compared quickly."""
+    """From now on, this process waits for a kernel that another one is compiling, and loads it.
+
+    numba by itself would compile it a second time. Kernel options are compared quickly as well.
+    """
     compare_options_quickly()
     if sys.platform != "win32":
         Dispatcher.compile = _compile_in_turn  # type: ignore[method-assign]
 
 
 _compile = Dispatcher.compile
-_locked: set[str] = set()  # by this process: a kernel that is compiled may ask for itself again
+_locked: set[str] = set()  # files locked by this process: compiling a kernel may request that very kernel again
 
 
 def _compile_in_turn(self: Any, sig: Any) -> Any:
-    kept = getattr(self._cache, "_impl", None)  # numba's own functions are kept nowhere
+    kept = getattr(self._cache, "_impl", None)  # numba's own functions are not cached
     if kept is None or sig in self.overloads:
         return _compile(self, sig)
     kept.locator.ensure_cache_path()
     path = f"{kept.locator.get_cache_path()}/{kept.filename_base}.lock"
-    with global_compiler_lock:  # first, so that no thread waits for the file while another one needs this
+    with global_compiler_lock:  # first, so that no thread waits for the file lock while another needs this one
         if path in _locked:
             return _compile(self, sig)
         with open(path, "w", encoding="utf-8") as file:
@@ -208,15 +214,15 @@ def _compile_in_turn(self: Any, sig: Any) -> Any:
             finally:
                 _locked.discard(path)
                 with suppress(OSError):
-                    fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile has the file open, too
+                    fcntl.flock(file, fcntl.LOCK_UN)  # a process forked meanwhile has the file open, too
 
 
 def compare_options_quickly() -> None:
-    """From now on in this process numba compares the options of kernels by those that were set.
+    """From now on in this process, numba compares kernels by the options that were set.
 
-    By itself it reads all of them, on both sides, each time that it looks for code of its own functions that it has compiled
-    already, which takes a tenth of all compiling. What is equal stays so. Other releases, which keep options otherwise, are
-    left as they are.
+    By itself it reads all options on both sides whenever it looks up compiled code of its own functions, which takes a
+    tenth of all compile time. The results of comparisons do not change. Releases of numba that store options in another
+    way are left as they are.
     """
     if "_values" in getattr(TargetConfig, "__slots__", ()):
         setattr(TargetConfig, "__eq__", _same_options)  # noqa: B010 (mypy lets no method be assigned)
@@ -230,7 +236,7 @@ def _same_options(one: Any, other: Any) -> Any:
 
 
 def _changed(options: Any) -> dict[str, Any]:
-    """Options that were set to something else than they are by themselves."""
+    """Options set to something other than their default."""
     return {name: value for name, value in options._values.items() if value != options.options[name].default}
 
 
@@ -241,30 +247,30 @@ def _hash_of_options(options: Any) -> int:
 
 @cache
 def _hash_of_names(kind: Any) -> int:
-    """numba's own: of the names of all options, so that what it has looked up before is still found."""
+    """numba's own hash, of the names of all options, so that entries hashed before are still found."""
     return hash(tuple(sorted(kind.options)))
 
 
 # ----------------------------------------------------------------------------------------------------
-# What is told.
+# Reports.
 
 
 @cache
 def _tell_once() -> None:
     print(
-        "note: no cache folder can be written, so kernels are compiled anew each time; "
-        "set NUMBA_CACHE_DIR to a folder that can",
+        "note: no cache folder is writable, so kernels are compiled again in every run; "
+        "set NUMBA_CACHE_DIR to a writable folder",
         file=sys.stderr,
     )
 
 
 @contextmanager
 def while_compiling(begun: Callable[[int, float], Callable[[int], None]]) -> Iterator[None]:
-    """In the block, tell when kernels begin to be compiled that were not found in numba's cache.
+    """In the block, report when kernels that are not in numba's cache start to be compiled.
 
-    begun: told how many kernels there are to compile, and about how long that takes [s]; what it returns is told after each
-    kernel how many of them are there, those of other processes too. It is not told of a few, and once by all processes
-    that are forked in the block. What is compiled comes sooner, see `compile_sparingly`.
+    begun: called with the number of kernels to compile and roughly how long that takes [s]; what it returns is called
+    after each kernel with how many are done, including those of other processes. It is not called for a few kernels,
+    and only once by all processes forked in the block. Compiling is faster in it, too, see `compile_sparingly`.
     """
     compile_sparingly()
     with event.install_listener("numba:compile", _Listener(begun)):
@@ -273,14 +279,14 @@ def while_compiling(begun: Callable[[int, float], Callable[[int], None]]) -> Ite
 
 @contextmanager
 def counting_compiled() -> Iterator[Callable[[], int]]:
-    """In the block, what tells how many kernels of ours were compiled since it began."""
+    """Yields a function that returns how many of our kernels were compiled since the block began."""
     counter = _Counter()
     with event.install_listener("numba:compile", counter):
         yield lambda: counter.count
 
 
 class _Counter(event.Listener):
-    """Counts the kernels of ours that are compiled."""
+    """Counts our kernels as they are compiled."""
 
     count = 0
 
@@ -292,14 +298,14 @@ class _Counter(event.Listener):
 
 
 class _Listener(event.Listener):
-    """Calls `begun` at the first kernel of ours that is compiled, and what that returns after every one."""
+    """Calls `begun` when the first of our kernels is compiled, and what that returns after every one."""
 
     def __init__(self, begun: Callable[[int, float], Callable[[int], None]]) -> None:
         self._begun = begun
         self._told: Callable[[int], None] | None = None
         self._missing: list[Any] = []
         self._count = self._compiled = 0
-        self._said = Value("b", 0)  # by any process that was forked from this one
+        self._said = Value("b", 0)  # shared with processes forked from this one
 
     def on_start(self, event: Any) -> None:
         if self._told is None and _is_ours(event.data["dispatcher"]):
@@ -318,13 +324,13 @@ class _Listener(event.Listener):
 
 
 def was_compiled(kernel: Any) -> bool:
-    """Whether numba's cache has a kernel of what it is made of now, for whatever types."""
+    """Whether numba's cache holds a kernel in its present state, for any types."""
     file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
-    return file is not None and bool(file._load_index())  # which is empty where it is of something else, see `_stamp`
+    return file is not None and bool(file._load_index())  # empty where the stamp differs, see `_stamp`
 
 
 def _not_there() -> list[Any]:
-    """Kernels of the modules that are loaded of which numba's cache has nothing."""
+    """Kernels of the loaded modules that are not in numba's cache."""
     modules = [module for name, module in list(sys.modules.items()) if name.startswith("planner.")]
     kernels = {id(value): value for module in modules for value in vars(module).values() if _is_ours(value)}
     return [kernel for kernel in kernels.values() if not was_compiled(kernel)]

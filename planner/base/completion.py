@@ -53,7 +53,7 @@ def completion_command() -> Command:
     """The parser of `python -m planner.base.completion`."""
     parser = Command(
         "base.completion",
-        "Print a script with which a shell completes the commands of beadwise, their options, examples and robots.",
+        "Print a script that lets a shell complete the commands of beadwise, their options, examples and robots.",
         {
             "bash > ~/.local/share/bash-completion/completions/beadwise": "for bash, from the next shell on",
             "zsh > ~/.zfunc/_beadwise": "for zsh, where ~/.zfunc is in fpath",

@@ -1,9 +1,9 @@
-"""The same function for many items: in this process, in processes of this computer, or on a dask cluster.
+"""The same function for many items: in this process, in processes on this computer, or on a dask cluster.
 
-What comes back depends on the items alone, not on where or in which order they were done. A process that dies costs
-its item another try, not the rest of the work. Processes of this computer are started afresh: a copy of this one would
-have its threads' locks. To a cluster only data and names are sent: workers import the function, and so must have the
-same program, which is compared with every item, since workers may come and go at any time.
+Results depend on the items alone, not on where or in which order they were processed. If a process dies, its item is
+tried again; no other work is lost. Processes on this computer are spawned: a fork of this one would have its threads'
+locks. A cluster is sent only data and names: workers import the function, and so must have the same program, which is
+compared with every item, since workers may come and go at any time.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from planner.base.versions import versions
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# function, items → (index, result or error that is the user's to mend) of each item, as they are done
+# function, items → (index, result or error that the user can fix) of each item, as they are done
 Spread = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
 
-MOST_JOBS = 256  # processes; each takes some 200 MB for what it imports
-TRIES = 3  # of an item whose process dies: once may be bad luck, three times is the item
-_BUG = 1  # exit code of a process that an exception ended
-PATIENCE = 10.0  # s for the scheduler to answer, and then for a first worker to be there
+MOST_JOBS = 256  # processes; each takes some 200 MB for its imports
+TRIES = 3  # of an item whose process dies: once may be bad luck, three times is the item's fault
+_BUG = 1  # exit code of a process ended by an exception
+PATIENCE = 10.0  # s to wait for the scheduler to answer, and then for a first worker
 _ADDRESS = re.compile(r"(tcp|tls)://([^/\s:\[\]]+|\[[0-9a-fA-F:]+\]):\d{1,5}")
 _FIELD = "--scheduler"
-_DIGITS = 12  # of the digest of sources: enough that two programs never share them
+_DIGITS = 12  # of the digest of sources: enough to tell any two programs apart
 
 
 class Lost(PlannerError):
@@ -53,22 +53,22 @@ def spread(
 ) -> Iterator[tuple[int, Result | PlannerError]]:
     """Yield (index, `function(item)`) of every item, in the order in which they are done.
 
-    function    of a module, known by its name there, as is the type of all that goes in and out
+    function    defined at the top level of a module, as are the types of all that goes in and out
     jobs        processes; with one, everything is done here, in order, and nothing is tried again
-    scheduler   address of a dask scheduler, such as "tcp://host:8786", whose workers do it instead
+    scheduler   address of a dask scheduler, such as "tcp://host:8786", whose workers are used instead
 
-    A PlannerError that an item raises is its result, and so is `Lost`. Any other exception is a bug: it ends all, as
-    RuntimeError if it came from another process. The processes end with the iteration.
-    Raises InputError where there is no such scheduler, or its workers do not have the program that this one is.
+    A PlannerError that an item raises is its result, and so is `Lost`. Any other exception is a bug: it ends
+    everything, as RuntimeError if it came from another process. The processes end with the iteration.
+    Raises InputError if there is no such scheduler, or if its workers have a different program.
     """
     with crew(jobs, scheduler) as over:
         yield from over(function, items)
 
 
 def crew(jobs: int = 1, scheduler: str | None = None) -> AbstractContextManager[Spread]:
-    """What spreads as `spread` does, called with function and items, with processes that stay until the block ends.
+    """As `spread`, but called with function and items, and with processes that stay until the block ends.
 
-    So what a function keeps in its process (a cache) is still there for later items.
+    What a function keeps in its process (a cache) is still there for later items.
     """
     if not 1 <= jobs <= MOST_JOBS:
         raise InputError(f"{jobs} is not a number of processes", field="--jobs", hint=f"1 to {MOST_JOBS}")
@@ -84,18 +84,18 @@ def _here(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[tupl
 
 
 def lost(index: int, times: int, how: str) -> Lost:
-    """The error of an item whose processes died so many times, the last one so."""
+    """The error of an item whose processes died `times` times; how: the last of them."""
     return Lost(f"item {index} has no result: {times} processes that worked on it died ({how})")
 
 
 def name_of(function: Callable[..., Any]) -> tuple[str, str]:
-    """Module and name by which another process finds a function. Raises TypeError where it cannot."""
+    """Module and name by which another process finds a function. Raises TypeError if it cannot."""
     module, name = function.__module__, function.__qualname__
     if module == "__main__":
         spec = getattr(sys.modules[module], "__spec__", None)
         module = "" if spec is None else spec.name
     if not module or not name.isidentifier():
-        raise TypeError(f"{name} cannot be found by its name from another process")
+        raise TypeError(f"{name} cannot be imported by name in another process")
     return module, name
 
 
@@ -106,7 +106,7 @@ def by_name(module: str, name: str) -> Callable[[Any], Any]:
 
 
 def outcome(function: Callable[[Item], Result], item: Item) -> Result | PlannerError:
-    """A function's result, or the error that is the user's to mend."""
+    """A function's result, or the error that the user can fix."""
     try:
         return function(item)
     except PlannerError as error:
@@ -115,7 +115,7 @@ def outcome(function: Callable[[Item], Result], item: Item) -> Result | PlannerE
 
 @cache
 def program_of(module: str) -> str:
-    """What a result may depend on besides its item, told in a line: versions, and a digest of the sources.
+    """Everything but the item that a result may depend on, in one line: versions, and a digest of the sources.
 
     The sources are those of this program and of the package that holds the module.
     """
@@ -123,7 +123,7 @@ def program_of(module: str) -> str:
     for top in sorted({"planner", module.partition(".")[0]}):
         file = importlib.import_module(top).__file__
         if file is None:
-            raise TypeError(f"{top} has no sources that could be compared")
+            raise TypeError(f"{top} has no source files to compare")
         path = Path(file)
         sources = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
         for source in sources:
@@ -134,7 +134,7 @@ def program_of(module: str) -> str:
 
 @contextmanager
 def local_crew(jobs: int) -> Iterator[Spread]:
-    """What spreads items over so many processes, which stay until the block ends."""
+    """Spreads items over `jobs` processes, which stay until the block ends."""
     processes: dict[Connection, SpawnProcess] = {}
     try:
         yield partial(_in_processes, processes, jobs)
@@ -146,7 +146,7 @@ def local_crew(jobs: int) -> Iterator[Spread]:
 def _in_processes(
     processes: dict[Connection, SpawnProcess], jobs: int, function: Callable[[Any], Any], items: Sequence[Any]
 ) -> Iterator[tuple[int, Any]]:
-    """An item at a time for each process; whichever dies is replaced."""
+    """One item at a time per process; a process that dies is replaced."""
     name = name_of(function)
     todo = deque(range(len(items)))
     tries = [0] * len(items)
@@ -157,7 +157,7 @@ def _in_processes(
             for _ in range(min(len(todo), jobs - len(working))):
                 pipe = idle.pop() if idle else _start(processes)
                 working[pipe] = todo.popleft()
-                with suppress(OSError):  # of one that died while it was idle: its pipe tells so below
+                with suppress(OSError):  # if it died while idle, which its pipe shows below
                     pipe.send((name, items[working[pipe]]))
             ready = wait(list(working))
             for pipe in [each for each in working if each in ready]:
@@ -168,7 +168,7 @@ def _in_processes(
                     processes[pipe].join()  # it is about to end, with an exit code of its own
                     code = _end(processes, pipe)
                     if code == _BUG:
-                        raise RuntimeError(f"{'.'.join(name)} failed in its own process, as told above") from None
+                        raise RuntimeError(f"{'.'.join(name)} failed in its own process: see the error above") from None
                     tries[i] += 1
                     if tries[i] < TRIES:
                         todo.appendleft(i)
@@ -177,7 +177,7 @@ def _in_processes(
                 else:
                     yield i, result
     finally:
-        for pipe in working:  # what they would answer, nobody waits for
+        for pipe in working:  # nobody waits for their answers
             _end(processes, pipe)
 
 
@@ -185,14 +185,14 @@ def _start(processes: dict[Connection, SpawnProcess]) -> Connection:
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     processes[here] = context.Process(target=_serve, args=(there, os.getpid()), daemon=True)
-    with ignored_interrupts():  # Ctrl-C is for who started it, who ends it
+    with ignored_interrupts():  # Ctrl-C is for the parent, which ends it
         processes[here].start()
     there.close()
     return here
 
 
 def _end(processes: dict[Connection, SpawnProcess], pipe: Connection) -> int | None:
-    """End a process and forget it; its exit code."""
+    """End a process and forget it; returns its exit code."""
     process = processes.pop(pipe)
     pipe.close()
     process.terminate()
@@ -201,7 +201,7 @@ def _end(processes: dict[Connection, SpawnProcess], pipe: Connection) -> int | N
 
 
 def _serve(pipe: Connection, parent: int) -> None:
-    """Answer every item with its outcome, until the other end is gone; a bug ends the process with its traceback."""
+    """Answer every item with its outcome until the other end closes; a bug ends the process with its traceback."""
     end_with_parent(parent)
     while True:
         try:
@@ -213,16 +213,16 @@ def _serve(pipe: Connection, parent: int) -> None:
 
 @dataclass(frozen=True)
 class Stranger:
-    """What a worker answers whose program is not the one that asks."""
+    """The answer of a worker whose program differs from the caller's."""
 
     program: str
 
 
 @contextmanager
 def cluster_crew(scheduler: str) -> Iterator[Spread]:
-    """What spreads items over the workers of a scheduler; what a dead one had, dask itself gives to others."""
+    """Spreads items over the workers of a scheduler; dask itself reassigns those of a worker that dies."""
     if not _ADDRESS.fullmatch(scheduler):
-        raise InputError(f"{scheduler!r} is no address", field=_FIELD, hint="such as tcp://192.168.0.10:8786")
+        raise InputError(f"{scheduler!r} is not an address", field=_FIELD, hint="such as tcp://192.168.0.10:8786")
     try:
         import distributed
     except ImportError as error:
@@ -248,39 +248,39 @@ def _on_workers(
 
     name = name_of(function)
     program = program_of(name[0])
-    # not pure: a result of an earlier run with the same items is not this run's
+    # not pure: results of an earlier run with the same items must not be reused
     futures = [client.submit(_work, program, *name, item, pure=False) for item in items]
     index = {future.key: i for i, future in enumerate(futures)}
     finished = distributed.as_completed(futures, loop=client.loop)
-    futures.clear()  # so that results that were taken do not stay on the workers
+    futures.clear()  # so that results already taken do not stay on the workers
     for future in finished:
         i = index[future.key]
         yield i, _result(future, i, name, program, scheduler)
 
 
 def _result(future: Any, i: int, name: tuple[str, str], program: str, scheduler: str) -> Any:
-    """What a future came to. Raises InputError for a worker without this program, RuntimeError for a bug."""
+    """The result of a future. Raises InputError for a worker without this program, RuntimeError for a bug."""
     from distributed import KilledWorker
 
     if future.cancelled():
-        raise InputError(f"the scheduler at {scheduler} went away", field=_FIELD)
+        raise InputError(f"the connection to the scheduler at {scheduler} was lost", field=_FIELD)
     error = future.exception()
     if isinstance(error, KilledWorker):
         return lost(i, error.allowed_failures + 1, f"last on {error.last_worker.address}")
     if isinstance(error, ModuleNotFoundError) and error.name in ("planner", name[0].partition(".")[0]):
-        hint = "workers run in an environment with the same program"
+        hint = "start workers in an environment that has the same program"
         raise InputError(f"a worker of {scheduler} has no module {error.name}", field=_FIELD, hint=hint)
     if error is not None:
         raise RuntimeError(f"{'.'.join(name)} failed on a worker: {error!r}") from error
     result = future.result()
     if isinstance(result, Stranger):
-        reason = f"a worker of {scheduler} has another program: {_difference(result.program, program)}"
-        raise InputError(reason, field=_FIELD, hint="the same version and packages everywhere")
+        reason = f"a worker of {scheduler} runs a different program: {_difference(result.program, program)}"
+        raise InputError(reason, field=_FIELD, hint="install the same version and packages everywhere")
     return result
 
 
 def _difference(there: str, here: str) -> str:
-    """What of two programs differs, in words."""
+    """The differences between two programs, in words."""
     pairs = zip(there.split(", "), here.split(", "), strict=True)
     return ", ".join(f"{one} instead of {other}" for one, other in pairs if one != other)
 

@@ -20,7 +20,7 @@ _UNPRINTABLE = re.compile("\0+")
 
 
 class PlannerError(Exception):
-    """Base of every error that is the user's to mend; `str()` is one clear sentence."""
+    """Base of every error that the user can fix; `str()` is one clear sentence."""
 
     exit_code = EXIT_BUG
 
@@ -28,7 +28,13 @@ class PlannerError(Exception):
 class InputError(PlannerError):
     """The input is wrong: names the file, the line (from 1), the field, and what would be right.
 
-    `all` are the errors of a file of which this is the first, itself among them; none where it is the only one.
+    Attributes:
+        reason: What is wrong, in words.
+        file: The file; None if the input is no file.
+        line: Line in the file, from 1; None if unknown.
+        field: The field of the file, or the argument; None if it is neither.
+        hint: What would be right, in words; None if there is nothing to say.
+        all: Every error found in the file, this one first; empty if there are no others.
     """
 
     exit_code = EXIT_INPUT
@@ -62,8 +68,7 @@ class OutputError(PlannerError):
 class Change(str):
     """A hint that can be tried: a change of the problem that helped a search, in words.
 
-    tries: from the least change on, what is changed in words, and each field of it with its value as after `--set`, or a
-    MovedBy
+    tries: the smallest change first: the change in words, and each field with its value as in `--set`, or a MovedBy
     """
 
     tries: tuple[tuple[str, tuple[tuple[str, Any], ...]], ...]
@@ -76,21 +81,25 @@ class Change(str):
 
 @dataclass(frozen=True)
 class MovedBy:
-    """In place of a field's value: a vector [mm] that is added to it."""
+    """A vector [mm] to add to a field's value, given in place of a new one."""
 
     vector: tuple[float, float, float]
 
 
 class Refusal(PlannerError):
-    """There is no plan, and this is where and why.
+    """There is no plan: where, and why.
 
-    `bead` and `waypoint` count from 0, `s_mm` runs along the bead, `point_mm` is in the part frame;
-    `run` is "run-in" or "run-out" where it is there and not on the bead itself;
-    `missing_mm` says by how much a point lies out of reach, where that is the reason; `hints` name changes
-    that were tried and would help. A function that finds them is called when they are first asked for: trying
-    changes takes longer than all else, and a refusal that another plan makes good needs none.
-    `near_ends` is true where a search ended that keeps room to the ends of joints' ranges, and nearer to them there may be a way.
-    `posture` has the joints (arm, then holder) [rad, m] of the posture there that comes nearest to serve, where there is one.
+    Attributes:
+        reason: Why there is none, in words.
+        bead: Index of the bead, from 0.
+        waypoint: Index of the waypoint of the bead, from 0.
+        s_mm: Arc length along the bead [mm].
+        point_mm: Position in the part frame [mm].
+        run: "run-in" or "run-out" if the place is there and not on the bead itself.
+        missing_mm: How far the point lies out of reach [mm], where that is the reason.
+        near_ends: Whether the failed search kept away from the ends of joint ranges, nearer to which a path may exist.
+        posture: Joints (arm, then holder) [rad; m for sliding joints] of the posture there that comes closest to
+            working, if any.
     """
 
     exit_code = EXIT_NOT_VERIFIED
@@ -123,31 +132,43 @@ class Refusal(PlannerError):
 
     @property
     def hints(self) -> Hints:
-        """Changes that were tried and would help."""
+        """Changes that were tried and would help.
+
+        A function that finds them is called on first access: trying changes takes longer than anything else, and a
+        refusal that another plan makes good needs no hints.
+        """
         if callable(self._hints):
             self._hints = self._hints()
         return self._hints
 
     def trying(self, tried: Callable[[Hints], Hints]) -> None:
-        """Have its hints tried, by what makes of hints those that hold, when they are first asked for."""
+        """Have its hints tried on first access.
+
+        Args:
+            tried: Takes the hints and returns those that hold.
+        """
         given = self._hints
         self._hints = lambda: tried(given() if callable(given) else given)
 
     def advised_by(self, hints: Hints | Callable[[], Hints]) -> None:
-        """Have other hints than its own, or a function that finds them when they are first asked for."""
+        """Replace its hints.
+
+        Args:
+            hints: The new hints, or a function that finds them on first access.
+        """
         self._hints = hints
 
     def __reduce__(self) -> str | tuple[Any, ...]:
-        self._hints = self.hints  # what finds them cannot go to another process
+        self._hints = self.hints  # the function that finds them cannot be sent to another process
         return super().__reduce__()
 
 
 class Blocked(Refusal):
-    """A Refusal because something blocks every posture searched at a place."""
+    """A Refusal because something blocks every posture tried at a place."""
 
 
 def printable(text: str) -> str:
-    """A text with a ? for whatever of it a terminal would not print, as bytes of a damaged file that a reader quotes."""
+    """A text with a ? for each run of unprintable characters, such as bytes of a damaged file quoted by its reader."""
     return _UNPRINTABLE.sub("?", "".join(c if c.isprintable() or c == "\n" else "\0" for c in text))
 
 

@@ -26,7 +26,7 @@ EXTRAS = {
 
 
 def missing_extra(error: ImportError, needed_by: str = "this") -> InputError | None:
-    """The error to tell where a package of an extra is missing; None where that is not what is wrong."""
+    """The error to report if a package of an extra is missing; None if something else is wrong."""
     module = (error.name or "").partition(".")[0]
     if module not in EXTRAS:
         return None

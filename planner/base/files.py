@@ -1,4 +1,4 @@
-"""Files that a problem names, read whole up to a size, and new ones, written whole or not at all."""
+"""Files that a problem names, read whole up to a size limit, and new ones, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from planner.base.signals import interruptions_held
 
 
 def read_bytes(path: Path, largest: int, complain: Complaint, hint: str | None = None) -> bytes:
-    """The file's content; `complain` makes the InputError for one that is missing, unreadable, or above `largest` bytes.
+    """The file's content; `complain` makes the InputError if it is missing, unreadable, or larger than `largest` bytes.
 
     hint: what to do about a file that is too large.
     """
@@ -26,7 +26,7 @@ def read_bytes(path: Path, largest: int, complain: Complaint, hint: str | None =
 
 
 def stamp_of(path: Path) -> tuple[int, int]:
-    """When a file was changed [ns], and its size, which tell it from what stood there before; InputError where it is gone."""
+    """A file's modification time [ns] and size, which change if it is replaced; InputError if it is gone."""
     try:
         stamp = path.stat()
     except OSError as error:
@@ -35,12 +35,12 @@ def stamp_of(path: Path) -> tuple[int, int]:
 
 
 def read_lines(path: Path, largest: int, complain: Complaint) -> list[str]:
-    """The lines of a text file as `read_bytes` reads it, commas taken as blanks; InputError where it is not UTF-8."""
+    """The lines of a text file, as `read_text`, with commas replaced by blanks; InputError if it is not UTF-8."""
     return [line.replace(",", " ") for line in read_text(path, largest, complain)]
 
 
 def read_text(path: Path, largest: int, complain: Complaint) -> list[str]:
-    """The lines of a text file as `read_bytes` reads it, as they are; InputError where it is not UTF-8."""
+    """The lines of a text file, unchanged, read as by `read_bytes`; InputError if it is not UTF-8."""
     data = read_bytes(path, largest, complain)
     try:
         text = data.decode("utf-8-sig")
@@ -51,9 +51,9 @@ def read_text(path: Path, largest: int, complain: Complaint) -> list[str]:
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a text, line ends as they are, into a file that is not there yet.
+    """Write a text, line ends unchanged, into a file that does not exist yet.
 
-    OSError where one is, or none can be written; then nothing is left of it.
+    Raises OSError if it exists or cannot be written; no partial file is left then.
     """
     with interruptions_held():
         stream = path.open("x", encoding="utf-8", newline="")

@@ -1,4 +1,4 @@
-"""Memory that was freed, given back to the system."""
+"""Returning freed memory to the system."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from contextlib import contextmanager, suppress
 
 
 def give_back() -> None:
-    """Return freed memory to the system. glibc keeps small freed blocks; after a large print they add up to as much as its plan.
+    """Return freed memory to the system; with a C library other than glibc, do nothing.
 
-    With another C library, nothing is done.
+    glibc keeps small freed blocks; after a large print they add up to as much as its plan.
     """
     if sys.platform.startswith("linux"):
-        with suppress(AttributeError, OSError):  # another library, or none that can be asked
+        with suppress(AttributeError, OSError):  # another library, or none that can be called
             ctypes.CDLL(None).malloc_trim(0)
 
 
 @contextmanager
 def given_back(large: bool) -> Iterator[None]:
-    """Memory that a stage of a large print freed goes back to the system, lest it stand beside what the next one needs."""
+    """Return the memory that the block freed, a stage of a print, before the next stage needs more; only if `large`."""
     yield
     if large:
         give_back()

@@ -1,12 +1,12 @@
-"""Lines of G-code for a board: the commands that share one, and how long its pauses take."""
+"""Lines of G-code for a board: commands that share a line, and the duration of pauses."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
 
-PAUSE = "G4 P"  # and milliseconds
-_NEXT = re.compile(r" (?=[GM])")  # before a command that shares a line with the one before
+PAUSE = "G4 P"  # followed by milliseconds
+_NEXT = re.compile(r" (?=[GM])")  # between commands that share a line
 
 
 def commands_in(line: str) -> list[str]:
@@ -15,6 +15,6 @@ def commands_in(line: str) -> list[str]:
 
 
 def time_of(code: Iterable[str]) -> float:
-    """How long the pauses of some lines take together [s]."""
+    """Total duration of the pauses in some lines [s]."""
     commands = (command for line in code for command in commands_in(line))
     return sum(int(command[len(PAUSE) :]) for command in commands if command.startswith(PAUSE)) * 1e-3

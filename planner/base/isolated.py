@@ -1,7 +1,7 @@
-"""Questions to a process of its own: what answers them may end at any place, without a word, as readers of damaged files do.
+"""Questions to a separate process, which may die at any point without a message, as readers of damaged files do.
 
-A question is JSON on standard input, its answer arrays as NPZ on standard output. The one who asks calls `ask`, the module
-that is asked ends with `sys.exit(answer(function))`. What is long to answer can be asked ahead: `asked_ahead`.
+A question is JSON on standard input, its answer arrays as NPZ on standard output. The caller uses `ask`; the module
+that answers ends with `sys.exit(answer(function))`. Slow questions can be asked ahead: `asked_ahead`.
 """
 
 from __future__ import annotations
@@ -23,29 +23,30 @@ import numpy as np
 
 from planner.base.signals import end_with_parent
 
-_ROOT = Path(__file__).resolve().parents[2]  # from where modules are found, whatever the present folder
+_ROOT = Path(__file__).resolve().parents[2]  # where modules are found, whatever the working directory
 
 
 class Killed(Exception):
-    """The process that was asked was ended from outside, which tells nothing about what it was asked."""
+    """The process that was asked was ended from outside, which says nothing about the question."""
 
     def __init__(self) -> None:
-        super().__init__("what reads it was ended by the system, as where there is no memory left")
+        super().__init__("the system killed the process that read it, as when memory runs out")
 
 
 class _Begun(NamedTuple):
-    """A process that answers a question, and the one that asks."""
+    """A process that answers a question, and the process id of the one that asks."""
 
     process: subprocess.Popen[bytes]
     asks: int
 
 
-# What is asked ahead and not fetched yet. A fork of this process has a copy, and asks anew: one of them alone can fetch it.
+# Questions asked ahead whose answers are not fetched yet. A fork of this process has a copy, but asks again: only one
+# of them can fetch an answer.
 _ahead: dict[str, _Begun] = {}
 
 
 def ask(module: str, question: Mapping[str, Any], longest: float) -> dict[str, Any] | None:
-    """What a module answers to a question, as arrays by their names; None where its process ends without an answer.
+    """A module's answer to a question, as arrays by name; None if its process ends without an answer.
 
     Raises subprocess.TimeoutExpired after `longest` [s], and Killed. The process ends with this one, however that ends.
     """
@@ -55,7 +56,7 @@ def ask(module: str, question: Mapping[str, Any], longest: float) -> dict[str, A
         try:
             found, _ = process.communicate(timeout=longest)
         finally:
-            process.kill()  # of one that has ended, nothing
+            process.kill()  # no effect if it has ended
     if process.returncode == -signal.SIGKILL:
         raise Killed
     if process.returncode != 0:
@@ -66,7 +67,7 @@ def ask(module: str, question: Mapping[str, Any], longest: float) -> dict[str, A
 
 @contextmanager
 def asked_ahead(module: str, question: Mapping[str, Any]) -> Iterator[None]:
-    """Have a question answered beside the block: the first that asks it there has the answer the sooner."""
+    """Have a question answered alongside the block, so that the first to ask it there gets the answer sooner."""
     key = _key(module, question)
     if key in _ahead:
         yield
@@ -86,12 +87,12 @@ def _key(module: str, question: Mapping[str, Any]) -> str:
 
 
 def _begin(module: str, question: Mapping[str, Any]) -> subprocess.Popen[bytes]:
-    """A process that was asked a question."""
+    """Start a process that answers a question."""
     with TemporaryFile() as asked:
         asked.write(json.dumps({**question, "parent": os.getpid()}).encode())
         asked.seek(0)
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", module],  # -P: files of the present folder are no modules
+            [sys.executable, "-P", "-m", module],  # -P: no modules from the working directory
             stdin=asked,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -100,8 +101,11 @@ def _begin(module: str, question: Mapping[str, Any]) -> subprocess.Popen[bytes]:
 
 
 def _environment() -> dict[str, str]:
-    """What a process needs to find this package. Where Python finds it anyway its folder is not named: named, it would
-    stand before Python's own modules, of which some (`pathlib`, `typing`) can be installed in an old form beside it."""
+    """Environment in which a process finds this package.
+
+    Where Python finds it anyway, its folder is not named: it would come before Python's own modules, and outdated
+    versions of some (`pathlib`, `typing`) can be installed next to it.
+    """
     given = dict(os.environ)
     if Path(sysconfig.get_path("purelib")).resolve() == _ROOT:
         return given
@@ -110,7 +114,7 @@ def _environment() -> dict[str, str]:
 
 
 def answer(function: Callable[[dict[str, Any]], Mapping[str, Any]]) -> int:
-    """Answer the question on standard input by a function of it; returns the exit code."""
+    """Answer the question on standard input with `function`; returns the exit code."""
     question = json.load(sys.stdin)
     end_with_parent(question.pop("parent"))
     out = io.BytesIO()

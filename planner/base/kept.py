@@ -1,4 +1,4 @@
-"""What a pure function gave for an object, kept as long as the object lives."""
+"""Results of a pure function for an object, kept as long as the object lives."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Value = TypeVar("Value")
 
 
 def kept(function: Callable[[Subject], Value]) -> Callable[[Subject], Value]:
-    """The same pure function, that works out once for each object what it gives.
+    """The same pure function, evaluated only once for each object.
 
-    For objects that never change and have no hash, as frozen dataclasses of arrays: which one it is counts, not what is in
-    it. The value goes with the object, so it must not hold it.
+    For objects that never change and have no hash, such as frozen dataclasses of arrays: identity counts, not content.
+    The value is dropped with the object, so it must not hold a reference to it.
     """
     known: dict[Hashable, tuple[weakref.ref[Subject], Value]] = {}
 

@@ -1,4 +1,4 @@
-"""Commands by name: each is imported only once it is asked for, and Ctrl-C while that lasts ends it at once."""
+"""Commands by name: each is imported only when it is run, and Ctrl-C during the import ends it at once."""
 
 from __future__ import annotations
 
@@ -21,35 +21,33 @@ from planner.base.terminal import forgive_output
 
 
 class CommandModule(NamedTuple):
-    """Where a command's `main` is, and what the command does, in a few words."""
+    """The module of a command's `main`, and what the command does, in a few words."""
 
     module: str
     does: str
 
 
 COMMANDS = {
-    "demo": CommandModule("planner.report.demo", "a print that ships planned, in the browser"),
+    "demo": CommandModule("planner.report.demo", "show a shipped print, already planned, in the browser"),
     "solve": CommandModule("planner.planning.solve_command", "plan a print: from a problem file to a robot program"),
     "check": CommandModule("planner.planning.check_command", "read a problem and its files without planning it"),
     "new": CommandModule("planner.new.command", "make a problem file of your own"),
-    "robots": CommandModule(
-        "planner.robots.command", "the robots that ship, one of them in detail, or one of your own added"
-    ),
+    "robots": CommandModule("planner.robots.command", "list the shipped robots, show one in detail, or add your own"),
     "place": CommandModule("planner.place.command", "search for the place from which a part is printed best"),
     "register": CommandModule("planner.register.command", "find where the part really is, from touched places"),
     "identify": CommandModule(
         "planner.feedback.identify_command", "find limits and delays of a robot in the recording of a test program"
     ),
-    "scan": CommandModule("planner.feedback.scan_command", "the rest of a print, laid on what a scan finds of it"),
-    "learn": CommandModule(
-        "planner.feedback.learn_command", "a program corrected by what the robot did in its last run"
+    "scan": CommandModule("planner.feedback.scan_command", "replan the rest of a print on top of what a scan found"),
+    "learn": CommandModule("planner.feedback.learn_command", "correct a program by what the robot did in its last run"),
+    "view": CommandModule(
+        "planner.view.command", "show a report in the browser, rebuilt whenever its problem is saved"
     ),
-    "view": CommandModule("planner.view.command", "a report in the browser, made anew when its problem is saved"),
     "link": CommandModule("planner.link.command", "send a program to its controller, and watch it run"),
     "stream": CommandModule("planner.link.streaming", "send moves to a controller while it runs them"),
     "egm": CommandModule("planner.link.guided_motion", "send joints to a controller by externally guided motion"),
-    "simulate": CommandModule("planner.simulate.command", "simulators of controllers and extruder boards"),
-    "completion": CommandModule("planner.base.completion", "a script with which a shell completes these commands"),
+    "simulate": CommandModule("planner.simulate.command", "run simulators of controllers and extruder boards"),
+    "completion": CommandModule("planner.base.completion", "print a script that lets a shell complete these commands"),
 }
 
 
@@ -77,11 +75,13 @@ def usage() -> str:
     """The help of `beadwise`: a line for each command."""
     rows = [f"  {name:<10} {command.does}" for name, command in COMMANDS.items()]
     head = ["usage: beadwise COMMAND [ARGUMENTS]", "", "Plans curved-layer prints for robot arms.", "", "commands:"]
-    return "\n".join([*head, *rows, "", "beadwise COMMAND --help tells more; beadwise --version, the version."])
+    return "\n".join(
+        [*head, *rows, "", "beadwise COMMAND --help explains a command; beadwise --version prints the version."]
+    )
 
 
 def launch(name: str, arguments: Sequence[str] | None = None) -> int:
-    """Import a command and run it with arguments, the process's own if there are none; returns its exit code."""
+    """Import a command and run it with arguments (default: the process's own); returns its exit code."""
     forgive_output()
     try:
         with _importing():
@@ -95,24 +95,24 @@ def launch(name: str, arguments: Sequence[str] | None = None) -> int:
     terminations_interrupt()
     try:
         code: int = run(arguments)
-    except KeyboardInterrupt:  # another one, while the command answered the first
+    except KeyboardInterrupt:  # a second one, while the command handled the first
         code = EXIT_INTERRUPTED
     interrupts_answered()
-    gc.freeze()  # what is left goes back to the system as a whole
+    gc.freeze()  # no collection at exit: the system takes all memory back at once
     return code
 
 
 def end(code: int) -> NoReturn:
     """End this process with its command's exit code.
 
-    Where it was interrupted, the interpreter is not taken down: that ends threads wherever they are, and to end one
-    inside of a compiled function aborts the process.
+    After an interruption the interpreter is not shut down: that ends threads wherever they are, and ending one inside
+    a compiled function aborts the process.
     """
     no_more_interruptions()
     if interrupted():
         atexit._run_exitfuncs()
         for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError, ValueError):  # nobody reads any more, or it is closed
+            with suppress(OSError, ValueError):  # the reader has gone, or the stream is closed
                 stream.flush()
         os._exit(code)
     sys.exit(code)
@@ -120,7 +120,7 @@ def end(code: int) -> NoReturn:
 
 @contextmanager
 def _importing() -> Iterator[None]:
-    """Imports take seconds in which nothing needs to be put in order: Ctrl-C ends the process without a traceback.
+    """Imports take seconds, and there is nothing to clean up yet: Ctrl-C ends the process without a traceback.
 
     Garbage is not collected meanwhile: imports leave next to none, and looking for it takes a quarter of a second.
     """

@@ -9,20 +9,20 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, read_only
 from planner.base.compiled import njit
 
-_IN_DOUBT = 1e-5  # m: what is nearer than this by its nearest vertices is not looked at again
-_FIRST_AGAIN = 8  # vertices that are looked at then, and ever twice as many
+_IN_DOUBT = 1e-5  # m: a point closer than this, judged by its nearest vertices, is not checked again
+_FIRST_AGAIN = 8  # vertices checked the second time, and twice as many each further time
 
 
 def distance_to_polyline(points: Array, polyline: Array) -> Array:
     """Distances (n) [m] from points (n, 3) to a polyline (m, 3).
 
-    Exact where they are more than _IN_DOUBT, and else if a point's nearest segment touches one of its two nearest vertices
-    (two, because a closed polyline has its first vertex twice), as it does when vertices are closer to each other than the
-    line is to itself elsewhere. Where a line crosses itself, the nearest vertex may be another pass's.
+    Exact above _IN_DOUBT. Below, exact if a point's nearest segment touches one of its two nearest vertices (two,
+    because a closed polyline has its first vertex twice), as it does if vertices are closer to each other than the line
+    is to itself elsewhere. Where a line crosses itself, the nearest vertex may belong to another pass.
     """
     if len(points) == 0:
         return np.zeros(0)
-    # a tree of sliding midpoints is built in half the time, and as good for points in a row
+    # splitting at sliding midpoints builds the tree in half the time, and is as good for points in a row
     tree = cKDTree(polyline, balanced_tree=False, compact_nodes=False)
     points, polyline = read_only(points), read_only(polyline)
     _, nearest = tree.query(points, k=2)

@@ -1,4 +1,4 @@
-"""Functions in processes or threads of their own, so that the second core works too."""
+"""Functions in separate processes or threads, so that other cores work, too."""
 
 from __future__ import annotations
 
@@ -23,32 +23,34 @@ Job = Callable[[], Iterable["Job"]]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-MANY = 500  # items of some milliseconds each, whose results take less time to send than to find
-_PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
+MANY = 500  # items of a few milliseconds each: from here on, sending results costs less than computing them
+_PARTS_A_CORE = 4  # so that a core that is done with easy parts finds more
 
 
 def spare_core() -> bool:
-    """True where a second process helps: on Linux, where one may be forked safely, if more than one core is ours, and
-    this is no process of `spread` or of a cluster, which has others beside it. Nor in a thread beside the main one: a copy
-    that begins there may wait for ever for what another thread held."""
+    """Whether a second process helps: on Linux, where forking is safe, if this process may use more than one core.
+
+    Not in a process of `spread` or of a cluster, which runs alongside others, and only in the main thread: a process
+    forked in another may wait forever for a lock that a thread held.
+    """
     if threading.current_thread() is not threading.main_thread() or multiprocessing.current_process().daemon:
         return False
     return sys.platform == "linux" and cores() > 1
 
 
 def cores() -> int:
-    """How many cores this process may use: those it was confined to, such as by `taskset`."""
+    """Number of cores this process may use: those it was confined to, for example by `taskset`."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 @contextmanager
 def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Callable[[], Any]]:
-    """Run `function(*arguments)` beside the block, which gets what waits for its result; only where `spare_core`.
+    """Run `function(*arguments)` alongside the block, which gets a function that waits for its result.
 
-    The process is a copy of this one: it starts in a hundredth of a second, has everything, and shares the memory
-    of whatever neither of them changes. It ends with the block, finished or not, and with this process, however that
-    ends. Ctrl-C is the block's to handle: the process does not see it. A PlannerError there is raised where the result
-    is asked for; any other exception shows its traceback and raises RuntimeError there.
+    Only where `spare_core`. The process is a fork of this one: it starts in a hundredth of a second, has everything,
+    and shares all memory that neither of them changes. It ends with the block, finished or not, and with this process,
+    however that ends. Ctrl-C is the block's to handle: the process does not see it. A PlannerError in it is raised when
+    the result is requested; any other exception shows its traceback, and raises RuntimeError then.
     """
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
@@ -78,7 +80,7 @@ def in_background(function: Callable[..., Any], *arguments: Any) -> Iterator[Cal
 
 @contextmanager
 def beside(second_process: bool, function: Callable[..., Any], *arguments: Any) -> Iterator[Callable[[], Any]]:
-    """`in_background` where a second process is wanted and there is a core for it, else what calls the function here."""
+    """`in_background` if a second process is wanted and a core is spare; else yields a call of the function here."""
     if second_process and spare_core():
         with in_background(function, *arguments) as wait:
             yield wait
@@ -89,9 +91,9 @@ def beside(second_process: bool, function: Callable[..., Any], *arguments: Any) 
 def in_halves(
     function: Callable[[int, int], Any], count: int, second_process: bool, middle: int | None = None
 ) -> list[Any]:
-    """Results of `function(first, last)` for the halves of range(count) side by side, or for all of it here.
+    """Results of `function(first, last)` for the halves of range(count) in parallel, or for all of it here.
 
-    The second half begins at `middle`, if that is not count // 2.
+    The second half begins at `middle` (default: count // 2).
     """
     half = count // 2 if middle is None else middle
     if not second_process or not 0 < half < count or not spare_core():
@@ -101,9 +103,10 @@ def in_halves(
 
 
 def of_each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """`function(item)` of all items in order, where these are many of some milliseconds each: half of them in a second process.
+    """`function(item)` of all items in order, half of them in a second process where these are many.
 
-    Not where other threads are at work: a process that is forked while one of them loads a kernel waits for that for ever.
+    For items of a few milliseconds each. Not while other threads are at work: a process forked while one of them
+    loads a kernel waits for that forever.
     """
 
     def part(first: int, last: int) -> list[Result]:
@@ -113,10 +116,9 @@ def of_each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[R
 
 
 def in_threads(function: Callable[[int, int], None], count: int) -> None:
-    """Call a function that releases the GIL with (first, last) of parts of range(count), in as many threads as
-    there are cores.
+    """Call a function that releases the GIL with (first, last) of parts of range(count), in a thread per core.
 
-    Compiled loops that share their work themselves take several times as long to compile.
+    Compiled loops that run in parallel by themselves take several times as long to compile.
     """
     edges = np.unique(np.linspace(0, count, min(cores() * _PARTS_A_CORE, count) + 1).astype(int)).tolist()
     with ThreadPoolExecutor(cores()) as pool:
@@ -125,9 +127,8 @@ def in_threads(function: Callable[[int, int], None], count: int) -> None:
 
 
 def in_blocks(function: Callable[[slice], None], count: int, block: int, few: int = 1) -> None:
-    """Call a function that releases the GIL with slices of range(count), `block` long, in as many threads as there
-    are cores if these are more than `few`: what it does may depend on the block, which is the same for any number of
-    cores."""
+    """Call a function that releases the GIL with slices of range(count), `block` long, in a thread per core if there
+    are more than `few`. Results may depend on the slices, which are the same for any number of cores."""
     blocks = -(-count // block)
 
     def part(first: int, last: int) -> None:
@@ -141,8 +142,8 @@ def in_blocks(function: Callable[[slice], None], count: int, block: int, few: in
 
 
 def in_turn(jobs: Iterable[Job]) -> None:
-    """Call jobs that release the GIL in as many threads as there are cores, and the jobs that each of them gives
-    because they may begin once it is done."""
+    """Call jobs that release the GIL in a thread per core, and the jobs that each of them returns, which may begin once
+    it is done."""
     done: SimpleQueue[Future[Iterable[Job]]] = SimpleQueue()
     begun = 0
     with ThreadPoolExecutor(cores()) as pool:
@@ -150,7 +151,7 @@ def in_turn(jobs: Iterable[Job]) -> None:
             for job in jobs:
                 pool.submit(job).add_done_callback(done.put)
                 begun += 1
-            while begun:  # to wait for a set of futures instead would cost all of them, each time
+            while begun:  # waiting for a set of futures would go through all of them, each time
                 following = done.get().result()
                 begun -= 1
                 for job in following:
@@ -161,7 +162,7 @@ def in_turn(jobs: Iterable[Job]) -> None:
 
 
 class Fork(NamedTuple):
-    """What a forked process has of the one that started it: its number, and both ends of the pipe to it."""
+    """What a forked process gets from its parent: its process id, and both ends of the pipe to it."""
 
     parent: int
     receiver: Connection
@@ -171,10 +172,10 @@ class Fork(NamedTuple):
 def _send_result(fork: Fork, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     end_with_parent(fork.parent)
     taken_as_systems_do()
-    fork.receiver.close()  # else what is sent would wait for ever for itself
+    fork.receiver.close()  # else sending could wait forever for this end to read
     try:
         result, error = function(*arguments), None
     except PlannerError as refused:
         result, error = None, refused
-    with suppress(BrokenPipeError):  # who asked has ended, so this process is about to
+    with suppress(BrokenPipeError):  # the parent has ended, so this process is about to
         fork.sender.send((result, error))

@@ -1,4 +1,4 @@
-"""Stages of a run: how long each takes, and what the user sees of them on stderr."""
+"""Stages of a run: how long each takes, and their progress on stderr."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ from contextlib import ExitStack, contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-# of planning with a strategy, in the order in which they begin
+# of planning with a strategy, in the order they begin
 STAGES = ("load", "toolpath", "obstacles", "resolve", "timing", "travel", "verify", "map", "compare", "dips")
 
 
 class Stages:
-    """Times named stages; with a console, draws a bar for each. `seconds` holds what has been measured so far.
+    """Times named stages; with a console, draws a bar for each. `seconds` holds the times measured so far.
 
-    A stage that is entered twice adds up. `entered` is told the name of each when it begins. With a console, terminal or
-    not, it is said when kernels have to be compiled, which happens once after an installation and takes minutes.
+    The times of a stage entered twice add up. `entered` is called with the name of each stage as it begins. With a
+    console, terminal or not, a note is printed when kernels have to be compiled, which happens once after an
+    installation and takes minutes.
     """
 
     def __init__(self, console: Console | None = None, entered: Callable[[str], None] | None = None) -> None:
         self.seconds: dict[str, float] = {}
         self._entered = entered
         self._console, self._open = console, ExitStack()
-        # what is no terminal would get an empty line
+        # anything but a terminal would get an empty line
         self._progress = None if console is None or not console.is_terminal else Progress(
             SpinnerColumn(), TextColumn("{task.description:<10}"), BarColumn(), TimeElapsedColumn(),
             console=console, transient=True,
@@ -35,7 +36,7 @@ class Stages:
             self._progress.start()
             self._open.callback(self._progress.stop)
         if self._console is not None:
-            from planner.base.compiled import while_compiling  # and numba, which stages without a console do not need
+            from planner.base.compiled import while_compiling  # imports numba, needed with a console only
 
             self._open.enter_context(while_compiling(self._compiling))
         return self
@@ -44,7 +45,7 @@ class Stages:
         self._open.close()
 
     def _compiling(self, kernels: int, seconds: float) -> Callable[[int], None]:
-        """Say that kernels are compiled, and roughly how long that takes; returns what is told after each how many are there."""
+        """Announce that kernels are compiled and for how long; returns what to call with the number done after each."""
         if self._console is not None:
             self._console.print(f"compiling kernels, about {_minutes(seconds)}, once", markup=False)
         progress = self._progress
@@ -54,7 +55,7 @@ class Stages:
         return lambda there: progress.update(bar, completed=there)
 
     def tell(self, words: str) -> None:
-        """Say something to who waits, if anybody does."""
+        """Print a message for the user, if there is a console."""
         if self._console is not None:
             self._console.print(words, markup=False)
 
@@ -66,7 +67,7 @@ class Stages:
 
     @contextmanager
     def counted(self, name: str, steps: int) -> Iterator[Callable[[], None]]:
-        """Measure the block as stage `name`, whose bar grows by a step whenever what it yields is called."""
+        """Measure the block as stage `name`; its bar advances by a step at each call of what is yielded."""
         with self._measured(name, steps) as bar:
             progress = self._progress
             yield (lambda: None) if progress is None or bar is None else (lambda: progress.advance(bar))
@@ -86,7 +87,7 @@ class Stages:
 
 
 def _minutes(seconds: float) -> str:
-    """A time in words, no finer than it is known."""
+    """A time in words, no more precise than the estimate."""
     if seconds < 45.0:
         return "half a minute"
     minutes = max(1, round(seconds / 60.0))

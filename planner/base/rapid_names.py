@@ -1,4 +1,4 @@
-"""Names in RAPID: how long they may be, and those that a problem must not give, since they stand for something else."""
+"""Names in RAPID: how long they may be, and those that a problem must not use because they are already taken."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ noview or pers proc raise readonly record retry return step sysmodule test then 
 viewonly while with xor
 """
 RAPID_WORDS = frozenset(_RESERVED.split())
-# what programs name themselves: procedures, speeds, triggers, zones, what serves the socket; and ABB's own data
+# names that our programs define (procedures, speeds, triggers, zones, the socket server's), and ABB's own data
 OWN_NAMES = re.compile(
     r"(main|(start|finish|(home|change|bead)\d+)(part\d+)?|vel\d\w*|(trg|bw)\w*|zon0_(1|02)|(tool|wobj|load)0|fine|[vz]\d+)",
     re.IGNORECASE,

@@ -1,8 +1,8 @@
-"""The folder of a command's results: replaced whole or not at all, and nothing is lost that is not the command's own.
+"""The folder of a command's results: replaced whole or not at all, without losing files that are not the command's own.
 
-Results are written into a folder beside their place. Then they change places with what the command left there before:
-`manifest.json` lists that with digests. What is not listed, or was changed since, is kept as a `.bak`. A journal says
-how far the exchange is, so that a failure takes it back, and so does the next command where this one was killed.
+Results are first written into a temporary folder. Then they change places with what the command left there before,
+which `manifest.json` lists with digests. Files that are not listed, or were changed since, are kept as a `.bak`. A
+journal records the exchange, so that a failure undoes it, or the next command does if this one was killed.
 """
 
 from __future__ import annotations
@@ -28,18 +28,19 @@ if sys.platform != "win32":
 
 MANIFEST = "manifest.json"
 FORMAT = "beadwise results 1"
-WRITING, REPLACED = ".beadwise-writing-", ".beadwise-replaced-"  # folders, while a command runs
-_LEFT = ".left"  # ends the name of a folder that goes
-_JOURNAL, _OLD = "journal.json", "old"  # in the latter
+WRITING, REPLACED = ".beadwise-writing-", ".beadwise-replaced-"  # prefixes of folders that exist while a command runs
+_LEFT = ".left"  # suffix of a folder that is being removed
+# In a folder REPLACED: how the exchange is to go, and the files that it replaces.
+_JOURNAL, _OLD = "journal.json", "old"
 _LARGEST_MANIFEST = 10_000_000  # bytes: some 80,000 files
-_TRIES = 5  # of removing a folder, into which another thread may be writing yet
+_TRIES = 5  # to remove a folder, into which another thread may still be writing
 
 Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Listed:
-    """A file as the manifest has it: its digest, and the command that wrote it."""
+    """A file's entry in the manifest: its digest, and the command that wrote it."""
 
     sha256: str
     by: str
@@ -47,11 +48,11 @@ class Listed:
 
 @dataclass(frozen=True)
 class Exchange:
-    """New results against old files of a folder.
+    """New results in exchange for old files of a folder.
 
-    new    names of what comes in
-    old    names of results that go
-    kept   name → name of files that are nobody's to remove, and stand in the way
+    new    names of files to move in
+    old    names of earlier results to remove
+    kept   name → new name of files in the way that are not ours to remove
     """
 
     new: tuple[str, ...]
@@ -60,33 +61,33 @@ class Exchange:
 
 
 def say(sentence: str) -> None:
-    """Print a note on the standard error output."""
+    """Print a note to standard error."""
     print(f"note: {sentence}", file=sys.stderr)
 
 
 @contextmanager
 def results_folder(target: Path, by: str, tell: Tell = say) -> Iterator[Path]:
-    """A fresh folder to write into; on success its files take the place of what `by` left in `target` before.
+    """A fresh folder to write into; on success its files replace what `by` left in `target` before.
 
     by     the command's name: results of other commands in the folder stay, unless they have the same names
-    tell   gets a sentence for each file that was kept under another name, and for what a killed run left
+    tell   called with a sentence for each file kept under another name, and for each exchange of a killed run undone
 
     On any exception nothing in `target` changes.
-    Raises OutputError, before anything is computed, where `target` cannot be written.
+    Raises OutputError, before anything is computed, if `target` cannot be written.
     """
     missing = [folder for folder in (target, *target.parents) if not folder.exists()]
 
     def leave() -> None:
         left = Path(f"{fresh}{_LEFT}")
         with suppress(OSError):
-            fresh.rename(left)  # threads may be writing there still: by its old name they find nothing
+            fresh.rename(left)  # threads may still be writing there: under its old name they no longer find it
         for _ in range(_TRIES):
             shutil.rmtree(left, ignore_errors=True)
             shutil.rmtree(fresh, ignore_errors=True)
             if not (left.exists() or fresh.exists()):
                 break
         _unlock(alive)
-        for folder in missing:  # made here: gone again if nothing came of it
+        for folder in missing:  # created here: removed again if nothing was put into it
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
 
@@ -103,23 +104,25 @@ def results_folder(target: Path, by: str, tell: Tell = say) -> Iterator[Path]:
             raise OutputError(f"cannot write into {target}: {error.strerror}") from error
         try:
             yield fresh
-            if interrupted():  # code in C dropped it
+            if interrupted():  # C code dropped the exception
                 raise KeyboardInterrupt
             kept = _put_in_place(fresh, target, by)
         except OSError as error:
-            raise OutputError(f"cannot write into {target}: {error.strerror}; what was there is there still") from error
+            raise OutputError(
+                f"cannot write into {target}: {error.strerror}; what was there before is unchanged"
+            ) from error
     for name, now in kept.items():
-        tell(f"{target / name} was not written by an earlier run, or changed since: it is kept as {now}")
+        tell(f"{target / name} was not written by an earlier run, or has changed since: it is kept as {now}")
 
 
 def listed(folder: Path) -> dict[str, Listed]:
-    """What the manifest of a folder lists, by name; nothing where there is none, or it is not ours."""
+    """Entries of a folder's manifest by name; empty if there is none, or it is not ours."""
     files = _manifest(folder) or {}
     return {name: Listed(**entry) for name, entry in files.items() if _is_entry(name, entry)}
 
 
 def _manifest(folder: Path) -> dict[str, Any] | None:
-    """The files of a manifest that a command wrote, unchecked; None where there is no such manifest."""
+    """The files listed in a manifest that a command wrote, unchecked; None if there is no such manifest."""
     try:
         with (folder / MANIFEST).open("rb") as stream:
             data = json.loads(stream.read(_LARGEST_MANIFEST))
@@ -137,7 +140,7 @@ def digest(path: Path) -> str:
 
 
 def _is_entry(name: str, entry: Any) -> bool:
-    """Whether a manifest's entry is a plain file name with two texts: others are not followed."""
+    """Whether a manifest's entry is a plain file name with two strings; others are ignored."""
     return (
         name == Path(name).name
         and isinstance(entry, dict)
@@ -147,7 +150,7 @@ def _is_entry(name: str, entry: Any) -> bool:
 
 
 def _put_in_place(fresh: Path, target: Path, by: str) -> Mapping[str, str]:
-    """Move the files of `fresh` into `target`, in place of earlier results; names of what was kept → new names."""
+    """Move the files of `fresh` into `target`, in place of earlier results; returns name → new name of files kept."""
     made = {path.name: Listed(digest(path), by) for path in sorted(fresh.iterdir())}
     with _locked(target):
         earlier = listed(target)
@@ -156,13 +159,13 @@ def _put_in_place(fresh: Path, target: Path, by: str) -> Mapping[str, str]:
         text = json.dumps({"format": FORMAT, "files": files}, indent=1) + "\n"
         (fresh / MANIFEST).write_text(text, encoding="utf-8")
         exchange = _exchange(target, earlier, tuple(sorted([*made, MANIFEST])), by)
-        with ignored_interrupts(terminations=True):  # the work is done by now, and files change places in a moment
+        with ignored_interrupts(terminations=True):  # the work is done, and the exchange takes a moment only
             _carry_out(exchange, fresh, target)
     return exchange.kept
 
 
 def _exchange(target: Path, earlier: Mapping[str, Listed], new: Sequence[str], by: str) -> Exchange:
-    """What goes, and what is kept under another name. Raises OutputError where a folder is in the way."""
+    """What to replace, and what to keep under another name. Raises OutputError if a folder is in the way."""
     stale = {name for name, entry in earlier.items() if entry.by == by}
     there = sorted(name for name in {*new, *stale} if os.path.lexists(target / name))
     folders = [name for name in there if (target / name).is_dir() and not (target / name).is_symlink()]
@@ -174,34 +177,34 @@ def _exchange(target: Path, earlier: Mapping[str, Listed], new: Sequence[str], b
 
 
 def _is_ours(path: Path, earlier: Mapping[str, Listed]) -> bool:
-    """Whether a file is as a command wrote it."""
+    """Whether a file is still as a command wrote it."""
     if path.name == MANIFEST:
         return _manifest(path.parent) is not None
     return path.name in earlier and path.is_file() and digest(path) == earlier[path.name].sha256
 
 
 def _spare(folder: Path, name: str) -> str:
-    """A name that is free in a folder, for a file to be kept."""
+    """A free name in a folder, for a file to keep."""
     names = (f"{name}.bak{k if k > 1 else ''}" for k in count(1))
     return next(each for each in names if not os.path.lexists(folder / each))
 
 
 def _carry_out(exchange: Exchange, fresh: Path, target: Path) -> None:
-    """Move old files away and new ones in, or none at all: OSError with everything as it was."""
+    """Move old files away and new ones in, or none at all: on OSError everything is as before."""
     aside = Path(tempfile.mkdtemp(prefix=REPLACED, dir=target))
     journal = {"writing": fresh.name, "new": exchange.new, "old": exchange.old, "kept": dict(exchange.kept)}
     part = aside / f"{_JOURNAL}.part"
     try:
         (aside / _OLD).mkdir()
         part.write_text(json.dumps(journal), encoding="utf-8")
-        os.replace(part, aside / _JOURNAL)  # from here on what happened can be told
+        os.replace(part, aside / _JOURNAL)  # from here on the exchange can be undone
         for name, now in exchange.kept.items():
             (target / name).rename(target / now)
         for name in exchange.old:
             os.replace(target / name, aside / _OLD / name)
         for name in exchange.new:
             os.replace(fresh / name, target / name)
-        (aside / _JOURNAL).unlink()  # and from here on there is nothing to take back
+        (aside / _JOURNAL).unlink()  # and from here on there is nothing to undo
     except OSError:
         try:
             _take_back(exchange, fresh, aside, target)
@@ -215,7 +218,7 @@ def _carry_out(exchange: Exchange, fresh: Path, target: Path) -> None:
 
 
 def _take_back(exchange: Exchange, fresh: Path, aside: Path, target: Path) -> None:
-    """Undo an exchange, however far it came. OSError leaves what can't be undone to the next command."""
+    """Undo an exchange, however far it got. On OSError, the next command undoes the rest."""
     for name in exchange.new:
         if fresh.is_dir() and not os.path.lexists(fresh / name) and os.path.lexists(target / name):
             os.replace(target / name, fresh / name)
@@ -230,16 +233,18 @@ def _take_back(exchange: Exchange, fresh: Path, aside: Path, target: Path) -> No
 
 
 def _clear_up(target: Path, tell: Tell) -> None:
-    """Take back exchanges in the middle of which a command was killed, and remove what it had begun to write."""
+    """Undo exchanges during which a command was killed, and remove what killed commands had begun to write."""
     for aside in sorted(target.glob(f"{REPLACED}*")):
         if (aside / _JOURNAL).is_file():
             writing, exchange = _journal(aside)
             _take_back(exchange, target / writing, aside, target)
-            tell(f"an earlier run was killed while it replaced the results in {target}: the ones before are back")
+            tell(
+                f"an earlier run was killed while it replaced the results in {target}: the previous ones were restored"
+            )
         else:
             shutil.rmtree(aside, ignore_errors=True)
     for begun in sorted(target.glob(f"{WRITING}*")):
-        with suppress(BlockingIOError):  # a command that still runs
+        with suppress(BlockingIOError):  # of a command that is still running
             held = _lock(begun, wait=False)
             if held is not None:
                 shutil.rmtree(begun, ignore_errors=True)
@@ -247,7 +252,7 @@ def _clear_up(target: Path, tell: Tell) -> None:
 
 
 def _journal(aside: Path) -> tuple[str, Exchange]:
-    """Name of the folder of new results, and how they were to change places. OutputError where it is not ours."""
+    """The folder of new results, and the exchange as planned. Raises OutputError if the journal is not ours."""
     try:
         data = json.loads((aside / _JOURNAL).read_text(encoding="utf-8"))
         exchange = Exchange(tuple(data["new"]), tuple(data["old"]), dict(data["kept"]))
@@ -255,14 +260,14 @@ def _journal(aside: Path) -> tuple[str, Exchange]:
         plain = all(isinstance(name, str) and name == Path(name).name for name in names)
     except (ValueError, KeyError, TypeError, RecursionError):
         plain = False
-    if not plain:  # such as in a folder that came from somewhere else: files would be moved that are not results
+    if not plain:  # as in a folder from somewhere else: files that are not results would be moved
         raise OutputError(f"cannot write into {aside.parent}: {aside} is in the way; move it elsewhere")
     return data["writing"], exchange
 
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """One command at a time in the block."""
+    """Only one command at a time in the block."""
     held = _lock(folder, wait=True)
     try:
         yield
@@ -271,9 +276,9 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _lock(folder: Path, wait: bool) -> int | None:
-    """A lock on a folder, which ends with the process at the latest; none on Windows, or where a file system has none.
+    """A lock on a folder, which ends with the process at the latest; None on Windows and on file systems without locks.
 
-    Raises BlockingIOError where another has it, and it is not waited for.
+    Raises BlockingIOError if another process holds it and `wait` is False.
     """
     if sys.platform == "win32":
         return None

@@ -1,4 +1,4 @@
-"""What ships beside the code: in an installed package within it, in a checkout at its top."""
+"""Files that ship with the code: inside an installed package, or at the top of a checkout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals that end a process: held off for a moment, taken as Ctrl-C, or sent to what was started when its parent ends."""
+"""Signals that end a process: held for a moment, treated as Ctrl-C, or sent to a child when its parent ends."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ from typing import NoReturn
 from planner.base.errors import EXIT_INTERRUPTED
 
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux
-_SOON = 0.02  # s
+_SOON = 0.02  # s until an interruption that Python dropped is sent again
 _came: list[int] = []  # numbers of the signals that interrupted this process
-_held: list[int] = []  # those that wait, where `_holding` is not empty
+_held: list[int] = []  # signals that wait while `_holding` is not empty
 _holding: list[None] = []
 _last_words: list[str] = []  # of a process that ends at once
-_undone: list[Callable[[], None]] = []  # what takes back what is half done, in the order in which that began
+_undone: list[Callable[[], None]] = []  # functions that undo unfinished work, in the order in which that began
 
 
 @contextmanager
 def ignored_interrupts(terminations: bool = False) -> Iterator[None]:
-    """Ctrl-C, and SIGTERM with `terminations`, is ignored in the block, and by processes that are started in it from
-    their first instant on."""
+    """Ignore Ctrl-C in the block, and SIGTERM with `terminations`; so do processes started in it, from the start."""
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread may set signal handlers, and only it gets Ctrl-C
         return
@@ -42,9 +41,9 @@ def ignored_interrupts(terminations: bool = False) -> Iterator[None]:
 
 
 def terminations_interrupt() -> None:
-    """From here on SIGTERM ends this process as Ctrl-C does: what is half-written goes, processes that it started end.
+    """From here on SIGTERM ends this process as Ctrl-C does: half-written files are removed, its child processes end.
 
-    What either leaves half closed goes without a traceback.
+    Objects that either leaves half closed cause no traceback.
     """
     if threading.current_thread() is threading.main_thread():
         for number, usual in ((signal.SIGTERM, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
@@ -54,9 +53,9 @@ def terminations_interrupt() -> None:
 
 @contextmanager
 def hangups_interrupt() -> Iterator[None]:
-    """In the block a terminal that closes interrupts, as Ctrl-C does, unless that is ignored, as under nohup.
+    """In the block, closing the terminal interrupts as Ctrl-C does, unless hang-ups are ignored, as under nohup.
 
-    For commands that start no process.
+    For commands that start no processes.
     """
     number = getattr(signal, "SIGHUP", None)
     main_thread = threading.current_thread() is threading.main_thread()
@@ -71,7 +70,7 @@ def hangups_interrupt() -> Iterator[None]:
 
 
 def _hung_up(number: int, frame: FrameType | None) -> None:
-    """The system and the shell both say so; the second time nothing is to be cut off that answers the first."""
+    """The system and the shell both send it; the second must not interrupt the handling of the first."""
     if not _holding:
         signal.signal(number, signal.SIG_IGN)
     _interrupt(number, frame)
@@ -90,8 +89,11 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def ended_at_once(words: str) -> Iterator[None]:
-    """In the block an interruption ends this process where it is, with some last words: no exception finds its way through
-    compiled code, which may drop it, make another one of it, or crash. For commands that hold nothing but files."""
+    """In the block, an interruption ends this process at once, with some last words.
+
+    An exception might not get through compiled code, which may drop it, replace it, or crash. For commands that hold
+    nothing but files.
+    """
     _last_words.append(words)
     try:
         yield
@@ -101,7 +103,7 @@ def ended_at_once(words: str) -> Iterator[None]:
 
 @contextmanager
 def undone_at_the_end(undo: Callable[[], None]) -> Iterator[None]:
-    """Call `undo` behind the block, and before an interruption in it ends this process at once."""
+    """Call `undo` after the block, and before an interruption in it ends this process at once."""
     _undone.append(undo)
     try:
         yield
@@ -113,7 +115,7 @@ def undone_at_the_end(undo: Callable[[], None]) -> Iterator[None]:
 
 @contextmanager
 def interruptions_held() -> Iterator[None]:
-    """Interruptions wait for the end of the block."""
+    """Hold interruptions until the end of the block."""
     _holding.append(None)
     try:
         yield
@@ -127,16 +129,16 @@ def interruptions_held() -> Iterator[None]:
 
 def _end_at_once() -> NoReturn:
     no_more_interruptions()
-    threading.excepthook = lambda told: None  # of threads whose files go
-    for child in multiprocessing.active_children():  # which may be writing what is undone
+    threading.excepthook = lambda told: None  # of threads whose files disappear
+    for child in multiprocessing.active_children():  # which may be writing files that are removed next
         child.kill()
         child.join()
     for undo in reversed(_undone):
         with suppress(OSError):
             undo()
-    # buffers may be in use where the interruption came
-    wiped = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""  # the line of a bar, and the cursor that it hides
-    with suppress(OSError):  # nobody reads it
+    # past the buffers, which may be in use where the interruption came
+    wiped = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""  # erases a progress bar, and shows the cursor it has hidden
+    with suppress(OSError):  # nobody is reading
         os.write(2, f"{wiped}{_last_words[-1]}\n".encode(sys.stderr.encoding or "utf-8", "replace"))
     os._exit(EXIT_INTERRUPTED)
 
@@ -144,7 +146,7 @@ def _end_at_once() -> NoReturn:
 def interrupted() -> bool:
     """Whether Ctrl-C or SIGTERM came since `terminations_interrupt`.
 
-    Code in C that was calling Python then may have dropped the exception, or made another one of it.
+    C code that was calling Python at that moment may have dropped the exception, or replaced it.
     """
     return bool(_came)
 
@@ -157,32 +159,32 @@ def no_more_interruptions() -> None:
 
 
 def _half_closed(left: sys.UnraisableHookArgs) -> None:
-    """Say nothing of an object that was being closed when the interruption came. One that came in a finalizer, where
-    Python drops it, comes again."""
+    """Ignore errors of objects that were being closed when the interruption came. If it came in a finaliser, where
+    Python drops it, it is sent again."""
     if isinstance(left.exc_value, KeyboardInterrupt):
         threading.Timer(_SOON, partial(signal.pthread_kill, threading.get_ident(), signal.SIGINT)).start()
 
 
 def interrupts_answered() -> None:
-    """This process ends with its own exit code, though Ctrl-C came while it ran a program that was given as text.
+    """Let this process end with its own exit code, even if Ctrl-C came while it ran code from a string.
 
-    CPython remembers an interrupt that leaves such a text (NumPy and numba make functions from them), and kills
-    `python -m …` by SIGINT at its end, whoever caught it since. The next text that is run makes it forget.
+    CPython remembers an interrupt that leaves such code (NumPy and numba make functions from strings), and kills
+    `python -m …` by SIGINT at its end, even if it was caught since. Running another string makes it forget.
     """
     exec("")
 
 
 def end_with_parent(parent: int) -> None:
-    """From here on this process ends with the one that started it, of that number, however that ends (on Linux)."""
+    """From here on this process ends with process `parent`, which started it, however that ends (on Linux)."""
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_DEATH_SIGNAL, signal.SIGKILL)
-        if os.getppid() != parent:  # it ended before it could be asked for
+        if os.getppid() != parent:  # it had ended before the request
             os._exit(1)
 
 
 @contextmanager
 def terminations_held() -> Iterator[None]:
-    """SIGTERM waits in the block, and in processes that are forked in it until they take it as systems do."""
+    """Hold SIGTERM in the block, and in processes forked in it until they call `taken_as_systems_do`."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     try:
         yield
@@ -191,6 +193,6 @@ def terminations_held() -> Iterator[None]:
 
 
 def taken_as_systems_do() -> None:
-    """SIGTERM, which was held back when this process was forked, ends it at once: the parent's handler is of no use here."""
+    """Let SIGTERM, held when this process was forked, end it at once: the parent's handler is of no use here."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})

@@ -1,8 +1,9 @@
-"""The smallest singular value of many small matrices, compiled: LAPACK spends most of its time on being called.
+"""The smallest singular value of many small matrices, compiled: LAPACK spends most of its time on call overhead.
 
-A matrix is made bidiagonal by reflections (Golub and Kahan 1965). Of B^T B, which is tridiagonal, Laguerre's method from
-0 comes to the smallest eigenvalue from below, three times as many digits with each step (Parlett, The Symmetric
-Eigenvalue Problem, section 7.5); B^T B - x is factored from B's own elements (Fernando and Parlett 1994, dstqds).
+A matrix is reduced to a bidiagonal B by reflections (Golub and Kahan 1965). Starting at 0, Laguerre's method approaches
+the smallest eigenvalue of the tridiagonal B^T B from below, tripling the number of correct digits with each step
+(Parlett, The Symmetric Eigenvalue Problem, section 7.5); B^T B - x is factored from B's own elements (Fernando and
+Parlett 1994, dstqds).
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ from planner.base.arrays import Array
 from planner.base.compiled import inner_njit, njit
 
 _STEPS = 200  # at most; three to six are usual
-_DONE = 1e-15  # relative: a step that no longer changes a value
-# Of the step before: where a step falls below that share, the next one's share is the third power of its own, so that it is
-# known without being made; nearer by, rounding may carry beyond, which costs many more
+_DONE = 1e-15  # relative: a step that no longer changes the value
+# × the step before. Once a step is below this share, the next one's share is the cube of its own (cubic convergence),
+# so its size is known without taking it. A step so near the eigenvalue may overshoot by rounding, and cost many more.
 _FALLING = 1e-2
 
 
 def least_singular_values(matrices: Array) -> Array:
-    """Smallest singular values (n) of matrices (n, r, c); NaN of a matrix with a number that is not finite."""
+    """Smallest singular values (n) of matrices (n, r, c); NaN for a matrix with an element that is not finite."""
     tall = matrices if matrices.shape[1] >= matrices.shape[2] else np.swapaxes(matrices, 1, 2)
     out = np.empty(len(tall))
     _fill(np.ascontiguousarray(tall, dtype=float), out)
@@ -29,7 +30,7 @@ def least_singular_values(matrices: Array) -> Array:
 
 @njit
 def _fill(matrices: Array, out: Array) -> None:
-    """Of each tall matrix (n, r, c)."""
+    """Fill `out` (n) for tall matrices (n, r, c)."""
     n, r, c = matrices.shape
     A, q, e = np.empty((r, c)), np.empty(c), np.empty(c)
     for i in range(n):
@@ -41,7 +42,10 @@ def _fill(matrices: Array, out: Array) -> None:
 
 @inner_njit
 def least_singular_value(A: Array, q: Array, e: Array) -> float:
-    """Of one tall matrix A (r, c), which is lost; NaN if a number in it is not finite. q and e (c) are room."""
+    """Smallest singular value of a tall matrix A (r, c), which is overwritten; NaN if an element is not finite.
+
+    q and e (c) are work space.
+    """
     r, c = A.shape
     largest = 0.0
     for a in range(r):
@@ -55,9 +59,9 @@ def least_singular_value(A: Array, q: Array, e: Array) -> float:
 
 @inner_njit
 def _bidiagonal(A: Array, q: Array, e: Array) -> None:
-    """Turn a tall A (r, c) into a bidiagonal matrix with the same singular values; A is lost.
+    """Reduce a tall A (r, c) to a bidiagonal matrix with the same singular values; A is overwritten.
 
-    Fills q (c) with the squares of its diagonal and e with those beside it, the last of which is 0.
+    Fills q (c) with the squares of its diagonal, and e (c) with those of its superdiagonal, the last of which is 0.
     """
     r, c = A.shape
     for k in range(c):
@@ -97,11 +101,11 @@ def _bidiagonal(A: Array, q: Array, e: Array) -> None:
 
 @inner_njit
 def _least_eigenvalue(q: Array, e: Array) -> float:
-    """Smallest eigenvalue of B^T B, where q (c) are the squares of B's diagonal and e (c) of those beside it."""
+    """Smallest eigenvalue of B^T B, given the squares of B's diagonal q (c) and of its superdiagonal e (c)."""
     c, x, low, high = q.size, 0.0, 0.0, np.inf
     before, share = 0.0, np.inf
     for _ in range(_STEPS):
-        # d are the pivots of B^T B - x, s what the one before leaves of x; by x once and twice: s1, s2
+        # d: pivots of B^T B - x, each q + s; s1, s2: first and second derivatives of s with respect to x
         s, s1, s2, d, first, second = -x, -1.0, 0.0, 0.0, 0.0, 0.0
         for i in range(c):
             d = q[i] + s
@@ -123,7 +127,7 @@ def _least_eigenvalue(q: Array, e: Array) -> float:
             if high == np.inf and last <= 1.0 and share <= _FALLING and step * share**3 <= _DONE * x:
                 break
             before = step
-        else:  # beyond, by rounding: far enough to be seen only if all eigenvalues are close together
+        else:  # overshot by rounding, noticeable only if all eigenvalues are close together
             high = x
         if x >= high:
             x = 0.5 * (low + high)

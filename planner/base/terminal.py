@@ -1,4 +1,4 @@
-"""What commands print on: a terminal or a pipe that cannot take a text costs that text, never what was computed."""
+"""Output that cannot fail a command: what a terminal or pipe cannot take is lost, but never the results."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import TextIO
 
 
 class Forgiving(io.RawIOBase):
-    """Bytes to another stream, until that fails: from then on they are forgotten, and the reason is said once.
+    """Passes bytes on to another stream until that fails; later ones are dropped, and the reason is reported once.
 
-    A pipe whose reader has gone (`| head`) is no failure.
+    A pipe whose reader has gone (`| head`) is not reported.
     """
 
     def __init__(self, below: io.RawIOBase, complain_on: TextIO | None) -> None:
@@ -40,17 +40,17 @@ class Forgiving(io.RawIOBase):
 
 
 def forgive_output() -> None:
-    """From here on printing does not fail: letters that a terminal lacks become `?`, bytes that go nowhere are forgotten."""
+    """From here on printing never fails: characters the terminal lacks become `?`, bytes it cannot take are dropped."""
     sys.stderr = _forgiving(sys.stderr, None)
     sys.stdout = _forgiving(sys.stdout, sys.stderr)
 
 
 def _forgiving(stream: TextIO | None, complain_on: TextIO | None) -> TextIO:
-    """A stream that prints where another does; that one itself if it is no file of the system, or forgives already."""
-    if stream is None:  # was closed before this process began
+    """A forgiving stream to the same place; the stream itself if it is not an OS file, or forgives already."""
+    if stream is None:  # closed before this process began
         return open(os.devnull, "w", encoding="utf-8")
     below = getattr(stream, "buffer", None)
-    raw = getattr(below, "raw", below)  # there is no buffer between where Python runs unbuffered
+    raw = getattr(below, "raw", below)  # unbuffered Python has no buffer in between
     if not isinstance(stream, io.TextIOWrapper) or not isinstance(raw, io.RawIOBase) or isinstance(raw, Forgiving):
         return stream
     stream.flush()

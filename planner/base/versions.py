@@ -12,7 +12,7 @@ PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Package → version, Python included; "unknown" of what was installed without saying so, as other installers than pip do."""
+    """Package → version, including Python; "unknown" if an installer other than pip left no record of it."""
     return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
 
 

@@ -1,4 +1,4 @@
-"""What becomes of warnings in a block: they are errors, or passed over."""
+"""Warnings in a block: turned into errors, or ignored."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ _ONE = RLock()
 
 @contextmanager
 def warnings_are(what: Literal["error", "ignore"], kind: type[Warning] = Warning) -> Iterator[None]:
-    """In the block warnings of a kind are errors, or passed over; one block at a time: what becomes of warnings is the same
-    for all threads, and blocks that overlap would leave it so for good."""
+    """In the block, raise warnings of a kind as errors, or ignore them; one block at a time.
+
+    Warning filters are shared by all threads, and overlapping blocks would leave them changed for good.
+    """
     with _ONE, warnings.catch_warnings():
         warnings.simplefilter(what, kind)
         yield

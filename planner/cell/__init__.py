@@ -1,1 +1,1 @@
-"""The robot cell: robots from their files, kinematics, bodies, and where everything stands."""
+"""The robot cell: robots read from their files, kinematics, bodies, and the placement of everything."""

@@ -1,7 +1,7 @@
-"""Bodies for collision: links from a URDF's <collision> shapes, print head and fixtures from the problem.
+"""Bodies for collision checks: links from a URDF's <collision> shapes, print head and fixtures from the problem.
 
 A link's bodies are in the frame of the joint that carries it. A nozzle whose outline is not given is long and slender,
-as they are sold for printing beside walls.
+like those sold for printing next to walls.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from planner.problem.cell import BodySpec, NozzleSpec
 from planner.problem.mesh_files import read_corners
 
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
-NOZZLE, OF = "nozzle", " of "  # name of a nozzle's outline, and what stands before its own name where there are several
+NOZZLE, OF = "nozzle", " of "  # name of a nozzle's outline, and the text before its own name if there are several
 OTHERS, CAPS = "others", "caps"  # stand for all links whose colour is not named, and for the covers on joints
-THINNEST = 1e-6  # m: what is thinner is a mistake
-_FLAT = 1e-6  # m: a mesh that is thinner has no hull
-# Of a nozzle whose outline is not given.
-_CONE = np.radians(30.0)  # half angle above the face, whose radius is the bore's diameter
-_THICKNESS = 4e-3  # m by which the nozzle is thicker than its face
+THINNEST = 1e-6  # m: anything thinner is a mistake
+_FLAT = 1e-6  # m: a thinner mesh has no hull
+# For a nozzle whose outline is not given.
+_CONE = np.radians(30.0)  # rad, half angle above the face, whose radius is the bore's diameter
+_THICKNESS = 4e-3  # m by which its radius exceeds that of its face
 _LENGTH = 40e-3  # m
-_TUBE = 15e-3  # m, least radius of what holds it, from its upper end to the middle of the flange
+_TUBE = 15e-3  # m, least radius of the tube that holds it, from its upper end to the middle of the flange
 
 
 @dataclass(frozen=True)
 class BodyRules:
-    """How a robot's file wants the shapes of its URDF to be taken.
+    """How a robot's file wants the shapes of its URDF to be used.
 
-    without    links that are left out, with what hangs on them but the arm
-    pieces     by link, how many convex pieces at most each of its meshes becomes; one where a link is not named
-    may_touch  pairs of links that may be in touch
-    colours    of links and of their shapes, by name; `others` of all that are not named, `caps` of covers on joints
+    without    links that are left out, with all that hangs on them except the arm
+    pieces     by link, the largest number of convex pieces for each of its meshes; one for links that are not named
+    may_touch  pairs of links that may touch
+    colours    of links and of their shapes, by name; `others` for all that are not named, `caps` for covers on joints
     first      the link in which the first joint turns, and the one that it moves: where the arm begins
     """
 
@@ -62,7 +62,7 @@ class BodyRules:
     first: tuple[str, ...] = ()
 
     def left_out(self, urdf: Urdf) -> set[str]:
-        """Links that are not there: of one beneath the arm's base, or of this, what does not belong to the arm above."""
+        """Links to leave out: those of `without` and all that hangs on them, except the arm."""
         found = set[str]()
         for link in self.without:
             own = hanging_on(urdf, [link])
@@ -83,10 +83,10 @@ class BodyRules:
 def read_bodies(
     urdf: Urdf, model: pin.Model, rules: BodyRules, only: Collection[str] | None = None
 ) -> tuple[tuple[Body, ...], ...]:
-    """Bodies by the joint of the model that carries them (0: none does), in that joint's frame; only: those of some links.
+    """Bodies by the joint of the model that carries them (0: none does), in that joint's frame; only: links to read.
 
-    A link's body bears its name, with the shape's own in brackets where it has one. Meshes become convex hulls, or some
-    pieces of them. Raises InputError for shapes that cannot be read.
+    A body has its link's name, with the shape's own in brackets if it has one. Meshes become convex hulls, or several
+    convex pieces. Raises InputError for shapes that cannot be read.
     """
     bodies: list[list[Body]] = [[] for _ in range(model.njoints)]
     absent = rules.left_out(urdf)
@@ -104,7 +104,7 @@ def read_bodies(
 
 
 def read_looks(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[Look, ...], ...]:
-    """Meshes that links show, by the joint of the model that carries them, as `read_bodies`; the files are not read yet."""
+    """Visual meshes of links, by the joint that carries them, as in `read_bodies`; their files are not read yet."""
     looks: list[list[Look]] = [[] for _ in range(model.njoints)]
     absent = rules.left_out(urdf)
     for name, link in urdf.links().items():
@@ -129,7 +129,7 @@ def read_looks(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[Lo
 
 
 def _material(urdf: Urdf, element: ET.Element) -> str:
-    """Colour of a <visual>, its own or that of the robot's material of this name; empty if there is none."""
+    """Colour of a <visual>: its own, or that of the robot's material of the same name; empty if there is none."""
     material = element.find("material")
     if material is None:
         return ""
@@ -152,7 +152,7 @@ def _pose(xyz: Sequence[float], rpy: Sequence[float]) -> Array:
 def _link_solids(
     urdf: Urdf, element: ET.Element, field: str, place: pin.SE3, pieces: int
 ) -> tuple[Array, Sequence[ConvexSolid]]:
-    """Where the solids of a <collision> lie in the joint's frame (4, 4), and these."""
+    """Pose (4, 4) of a <collision>'s solids in the joint's frame, and the solids."""
     geometry = element.find("geometry")
     shapes = [] if geometry is None else list(geometry)
     if len(shapes) != 1:
@@ -165,7 +165,7 @@ def _link_solids(
 
 
 def _solids(urdf: Urdf, shape: ET.Element, field: str, pieces: int) -> tuple[Sequence[ConvexSolid], float]:
-    """The solids of a shape, and how far below the shape's origin their own lies along z [m]."""
+    """The solids of a shape, and how far their origin lies below the shape's along z [m]."""
     if shape.tag == "mesh":
         return _link_hulls(urdf, shape, field, pieces), 0.0
     keys = {"box": ("size",), "sphere": ("radius",)}.get(shape.tag, ("radius", "length"))
@@ -173,9 +173,11 @@ def _solids(urdf: Urdf, shape: ET.Element, field: str, pieces: int) -> tuple[Seq
         raise urdf.error(shape, field, f"unknown shape <{shape.tag}>", f"one of {', '.join(SHAPES)}")
     values = [value for key in keys for value in urdf.numbers(shape, key, field, 3 if key == "size" else 1)]
     if min(values) < THINNEST:
-        raise urdf.error(shape, field, f"the {shape.tag} has a size of {min(values):g} m", "sizes are metres, above 0")
+        raise urdf.error(
+            shape, field, f"the {shape.tag} has a size of {min(values):g} m", "sizes are in metres, above 0"
+        )
     if max(values) > FARTHEST:
-        raise urdf.error(shape, field, f"the {shape.tag} has a size of {max(values):g} m", "sizes are metres")
+        raise urdf.error(shape, field, f"the {shape.tag} has a size of {max(values):g} m", "sizes are in metres")
     if shape.tag == "box":
         return [Box((values[0], values[1], values[2]))], 0.0
     if shape.tag == "sphere":
@@ -197,12 +199,12 @@ def _link_hulls(urdf: Urdf, shape: ET.Element, field: str, pieces: int) -> list[
 
 
 def _link_mesh(urdf: Urdf, shape: ET.Element, field: str) -> Mesh:
-    """The triangles of a <mesh>, in the shape's frame [m]. Raises InputError for one that cannot be read."""
+    """The triangles of a <mesh>, in the shape's frame [m]. Raises InputError if it cannot be read."""
     return _mesh(_loaded(urdf, shape, field))
 
 
 def read_mesh(path: Path) -> Mesh:
-    """The triangles of a mesh's file, in its own unit, of COLLADA in metres. Raises ValueError where it cannot be read."""
+    """The triangles of a mesh file, in its own unit, or metres for COLLADA. Raises ValueError if it cannot be read."""
     return _mesh(_read(path, np.ones(3)))
 
 
@@ -213,8 +215,8 @@ def _mesh(read: coal.BVHModelBase) -> Mesh:
 
 
 def drawn_meshes(urdf: Urdf, link: str, tag: str, place: Array) -> list[tuple[coal.CollisionGeometry, Array]]:
-    """The meshes of a link's shapes of a tag, `visual` or `collision`, as they are, hollows and all, and their poses
-    (4, 4), the link's frame being at `place`.
+    """The meshes of a link's shapes with a tag, `visual` or `collision`, unchanged, hollows and all, and their poses
+    (4, 4), with the link's frame at `place`.
 
     Raises InputError for meshes that cannot be read.
     """
@@ -243,15 +245,15 @@ def _loaded(urdf: Urdf, shape: ET.Element, field: str) -> coal.BVHModelBase:
     if not np.isfinite(vertices).all():
         raise urdf.error(shape, field, f"mesh {path.name} holds numbers that are not finite")
     if (size := float(np.ptp(vertices, axis=0).max(initial=0.0))) > FARTHEST:
-        hint = 'sizes are metres; of a file in mm, scale="0.001 0.001 0.001"'
-        raise urdf.error(shape, field, f"mesh {path.name} is {size:g} m large", hint)
+        hint = 'sizes are in metres; for a file in mm, give scale="0.001 0.001 0.001"'
+        raise urdf.error(shape, field, f"mesh {path.name} is {size:g} m across", hint)
     return read
 
 
 def _read(path: Path, scale: Array) -> coal.BVHModelBase:
-    """A mesh's file as coal reads it, scaled along x, y and z. Raises ValueError for one that cannot be read.
+    """A mesh file as coal reads it, scaled along x, y and z. Raises ValueError if it cannot be read.
 
-    The unit of a COLLADA file counts, as ROS has it. coal leaves it to its importer, so it is given a file without one.
+    The unit of a COLLADA file is applied, as in ROS. coal leaves that to its importer, so it gets a copy without.
     """
     if (unit := unit_of(path)) == 1.0:
         return coal.MeshLoader().load(str(path), scale)
@@ -262,7 +264,7 @@ def _read(path: Path, scale: Array) -> coal.BVHModelBase:
 
 
 def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:
-    """Where a mesh is: beside the URDF, or in the package that a folder around the URDF holds."""
+    """Path of a mesh: relative to the URDF, or in a package found from the folders around the URDF."""
     name = shape.get("filename")
     if not name:
         raise urdf.error(shape, field, "<mesh> has no filename")
@@ -278,7 +280,7 @@ def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:
         if beside := _in_package_beside(urdf.path.resolve(), package, rest):
             return beside
         hint = (
-            f"looked for {inside} in all folders around {urdf.path.name}, and {rest} in one whose package.xml is of {package}, "
+            f"looked for {inside} in all folders around {urdf.path.name}, and {rest} in any whose package.xml names {package}, "
             "there and beside its own package"
         )
         raise urdf.error(shape, field, f"no mesh {name}", hint)
@@ -289,7 +291,7 @@ def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:
 
 
 def _in_package_beside(urdf: Path, package: str, rest: str) -> Path | None:
-    """A file of a package that lies beside the URDF's own one, as in a ROS workspace, also in a repository of several."""
+    """A file of a package next to the URDF's own, as in a ROS workspace, or in a repository of several packages."""
     own = next((folder for folder in urdf.parents if (folder / "package.xml").is_file()), None)
     if own is None:
         return None
@@ -300,7 +302,7 @@ def _in_package_beside(urdf: Path, package: str, rest: str) -> Path | None:
 
 
 def _is_package(folder: Path, name: str) -> bool:
-    """Whether a folder holds a ROS package of a name, whatever the folder is called: a download bears its branch's name too."""
+    """Whether a folder holds the ROS package of a name, whatever it is called: downloads add their branch's name."""
     try:
         said = re.search(r"<name>\s*([^<]*?)\s*</name>", (folder / "package.xml").read_text("utf-8", "replace"))
     except OSError:
@@ -342,9 +344,9 @@ def head_bodies(problem: Problem, spec: NozzleSpec, key: str, T_flange_nozzle: A
 
 
 def _tube(low: Array, flange: Array, thick: float) -> list[Body]:
-    """What is assumed to hold the nozzle: a tube from its upper end to the middle of the flange, if there is room.
+    """The assumed holder of the nozzle: a tube from its upper end to the middle of the flange, if there is room for it.
 
-    thick: its radius [m], where that is more than _TUBE
+    thick: the tube's radius [m], if that is more than _TUBE
     """
     way = flange - low
     length = float(np.linalg.norm(way))
@@ -362,7 +364,7 @@ def _tube(low: Array, flange: Array, thick: float) -> list[Body]:
 
 
 def fixture_bodies(problem: Problem, carrier: str) -> tuple[Body, ...]:
-    """Fixtures that `carrier` carries, "world" or "part", in its frame. Raises InputError for a mesh that cannot be read."""
+    """Fixtures on `carrier`, "world" or "part", in its frame. Raises InputError for a mesh that cannot be read."""
     return tuple(
         _solid_body(name, spec, partial(problem.error, f"cell.fixtures.{name}"))
         for name, spec in problem.cell.fixtures.items()
@@ -388,5 +390,5 @@ def _solid_body(name: str, spec: BodySpec, where: Complaint) -> Body:
 
 def _mesh_hull(mesh: Mesh, where: Complaint) -> Hull:
     if np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=_FLAT) < 3:
-        raise where("its facets lie in one plane", hint="a body has a volume")
+        raise where("its facets lie in one plane", hint="a body needs a volume")
     return Hull(lean_hull(mesh.vertices))

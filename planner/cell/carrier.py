@@ -1,4 +1,4 @@
-"""An arm and what carries it, such as a rail or a gantry, as one robot: the joints that carry the arm are its first ones."""
+"""Join an arm and its carrier, such as a rail or a gantry, into one robot: the joints that carry the arm come first."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from planner.cell.urdf import link_frame
 from planner.problem import Problem
 from planner.problem.cell import CarrierSpec, JointLimitsSpec
 
-_ROUNDING = 1e-9  # m, rad: a place at the end of its range is inside, though millimetres became metres
+_ROUNDING = 1e-9  # m, rad: a position at the end of its range stays inside it when converted from mm or degrees
 
 Piece = TypeVar("Piece", Body, Look)
 
 
 @dataclass(frozen=True)
 class Carrier:
-    """What carries an arm: its own robot, the joints that may move, from its base on (none: it stands), and where the others
-    are held [rad, m]."""
+    """An arm's carrier: a robot, its joints that are free to move, base first (none: it stands still), and the
+    positions at which the others are held [rad, m]."""
 
     robot: Robot
     free: tuple[str, ...]
@@ -41,12 +41,12 @@ class Carrier:
 
 @dataclass(frozen=True)
 class CarriedArm:
-    """An arm with what carries it.
+    """An arm with its carrier.
 
-    robot          both as one, the joints that may move before the arm's own
-    T_carrier_base (4, 4) that robot's base as the carrier's own base has it
-    home           where these joints are at first [rad, m]
-    still          the others, as `cell.limits` calls them
+    robot          both as one, the carrier's free joints before the arm's own
+    T_carrier_base (4, 4) pose of that robot's base in the carrier's base frame
+    home           start positions of the free joints [rad, m]
+    still          names of the held joints, as `cell.limits` calls them
     """
 
     robot: Robot
@@ -57,15 +57,16 @@ class CarriedArm:
 
 
 def carried_arm(problem: Problem, spec: CarrierSpec, arm: Robot, others: Collection[str]) -> CarriedArm:
-    """The arm on what the problem says carries it; others: joints of what holds the part, whose names held ones may not
-    have.
+    """The arm on the carrier that the problem names.
 
-    Raises InputError for joints that it has not, for places that it does not reach.
+    others: joint names of the part's holder; a held joint of the carrier with such a name is called `base_<name>`
+
+    Raises InputError for joints that the carrier does not have, and for positions out of their range.
     """
     robot = load_robot(spec.robot, problem, "cell.base.robot")
     if robot.inverse is not None:
-        hint = "a rail, a column or a gantry; an arm that holds the part is cell.positioner"
-        raise problem.error("cell.base.robot", f"{robot.key} is an arm, and carries none", hint)
+        hint = "give a rail, a column or a gantry; an arm that holds the part is cell.positioner"
+        raise problem.error("cell.base.robot", f"{robot.key} is an arm, and cannot carry one", hint)
     taken = _taken(arm)
     called = {
         name: f"base_{name}" if name in taken or (name in others and name not in spec.free) else name
@@ -83,13 +84,13 @@ def carried_arm(problem: Problem, spec: CarrierSpec, arm: Robot, others: Collect
 
 
 def _taken(arm: Robot) -> set[str]:
-    """Names that no joint and no link of a carrier may have beside those of its arm."""
+    """Names of an arm's joints and links, which no joint or link of its carrier may have."""
     return {*arm.joint_names, *(frame.name for frame in arm.model.frames)}
 
 
 def _values(problem: Problem, spec: CarrierSpec, robot: Robot, called: Mapping[str, str]) -> dict[str, float]:
-    """Where each joint is at first, or held [rad, m], within its range, that of `cell.limits` where it is given; InputError
-    for names and values that the robot has not."""
+    """Start or held position of each joint [rad, m], within its range, taken from `cell.limits` if given there;
+    InputError for unknown names and for values out of range."""
     joints = robot.joint_names
     slides = dict(zip(joints, robot.slides, strict=True))
     ranges = {}
@@ -110,7 +111,7 @@ def _values(problem: Problem, spec: CarrierSpec, robot: Robot, called: Mapping[s
             where = f"cell.base.{field}.{name}"
             if field.startswith("home") != (name in spec.free):
                 kind = "held" if field.startswith("home") else "free"
-                hint = "that of a held joint stands in held_mm or held_deg, that of a free one in home_mm or home_deg"
+                hint = "a held joint's value goes in held_mm or held_deg, a free joint's in home_mm or home_deg"
                 raise problem.error(where, f"joint {name!r} is {kind}", hint)
             if field.endswith("mm") != slides[name]:
                 way, unit = ("slides", "mm") if slides[name] else ("turns", "deg")
@@ -126,8 +127,8 @@ def _values(problem: Problem, spec: CarrierSpec, robot: Robot, called: Mapping[s
 def given_limits(
     problem: Problem, name: str, own: JointLimitsSpec, slides: bool
 ) -> tuple[tuple[float, float] | None, tuple[float | None, ...]]:
-    """Range, and greatest speed, acceleration and jerk of a joint, as far as `cell.limits` gives them; InputError where they
-    are those of a joint of the other kind."""
+    """Range and greatest speed, acceleration and jerk of a joint, as far as `cell.limits` gives them; InputError if
+    they are for the other kind of joint, turning or sliding."""
     ways = {
         False: (own.range, own.speed, own.acceleration, own.jerk),
         True: (own.range_mm, own.speed_mm_s, own.acceleration_mm_s2, own.jerk_mm_s3),
@@ -148,7 +149,7 @@ def in_words(low: float, high: float, slides: bool) -> str:
 
 
 def _standing(robot: Robot, held: dict[str, float], arm: Robot, T_carrier_base: Array) -> Robot:
-    """The arm on a carrier that does not move: its bodies are those of the arm's foot."""
+    """The arm on a carrier that does not move, whose bodies become part of the arm's foot."""
     back: Array = np.asarray(np.linalg.inv(T_carrier_base), dtype=np.float64)
     foot = tuple(_moved(body, back) for body in _bodies(robot, held, ())[0])
     feet = tuple(_moved(look, back) for look in _carried(robot, robot.looks, held, ())[0])
@@ -162,8 +163,8 @@ def _standing(robot: Robot, held: dict[str, float], arm: Robot, T_carrier_base: 
 
 
 def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Robot) -> Robot:
-    """Both as one robot: the joints that may move, then the arm's own. A joint or link of the carrier that is named as
-    one of the arm's is `base_<name>`."""
+    """Both as one robot: the carrier's free joints, then the arm's own. A joint or link of the carrier whose name the
+    arm uses too becomes `base_<name>`."""
     q = np.array([held.get(name, 0.0) for name in robot.joint_names])
     locked = [robot.model.getJointId(name) for name in held]
     model = pin.buildReducedModel(robot.model, locked, q)
@@ -177,7 +178,7 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
             frame.name = f"base_{frame.name}"
     upper = arm.model.copy()
     for one in (model, upper):
-        one.lowerVelocityLimit = -one.velocityLimit  # what comes from a URDF is not negative, and may not be joined so
+        one.lowerVelocityLimit = -one.velocityLimit  # a URDF leaves it non-negative, and models cannot be joined so
     whole = pin.appendModel(model, upper, tip, pin.SE3.Identity())
     moving = [robot.joint_names.index(name) for name in free]
     chain = chain_of(robot, np.eye(4), np.eye(4), free, held)
@@ -196,14 +197,14 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
 
 def _on_rail(arm: Robot, chain: Chain) -> OnRail:
     if not isinstance(arm.inverse, SphericalWrist | PlacedWrist | OffsetWrist | SkewWrist | SevenAxes | Corrected):
-        raise TypeError(f"{arm.key} is no arm that stands")
+        raise TypeError(f"{arm.key} is not an arm that stands")
     rest = getattr(getattr(arm.inverse, "nominal", arm.inverse), "rest", None)
     return OnRail(arm.inverse, chain, (*(0.0,) * len(chain), *(() if rest is None else (rest,))))
 
 
 def _bodies(robot: Robot, held: dict[str, float], free: tuple[str, ...]) -> list[tuple[Body, ...]]:
-    """Bodies as `_carried` has them. Of those that the arm's foot does not move against, all but the last link's are no
-    neighbours of the arm's first link, as where every joint is free."""
+    """Bodies as returned by `_carried`. Of those fixed relative to the arm's foot, only the last link's are neighbours
+    of the arm's first link, just as if every joint were free."""
     first = max((1 + robot.joint_names.index(name) for name in free), default=0)
     last = len(robot.joint_names)
     own = [tuple(replace(body, below=first <= i < last) for body in bodies) for i, bodies in enumerate(robot.bodies)]
@@ -213,7 +214,7 @@ def _bodies(robot: Robot, held: dict[str, float], free: tuple[str, ...]) -> list
 def _carried(
     robot: Robot, pieces: Sequence[Sequence[Piece]], held: dict[str, float], free: tuple[str, ...]
 ) -> list[tuple[Piece, ...]]:
-    """Bodies or looks before the first free joint in the base's frame, and those behind each in that joint's frame."""
+    """Bodies or looks: those before the first free joint in the base's frame, those after each one in its frame."""
     model, data = robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, np.array([held.get(name, 0.0) for name in robot.joint_names]))
     parts: list[list[Piece]] = [[]]
@@ -229,7 +230,7 @@ def _carried(
 def _stacked(
     below: list[tuple[Piece, ...]], above: tuple[tuple[Piece, ...], ...], T_last_tip: Array
 ) -> tuple[tuple[Piece, ...], ...]:
-    """What a carrier has and what the arm on it has, whose foot stands on the carrier's last joint."""
+    """The bodies or looks of a carrier and of the arm on it, whose foot stands on the carrier's last joint."""
     whole: list[tuple[Piece, ...]] = list(below)
     whole[-1] += tuple(_moved(piece, T_last_tip) for piece in above[0])
     whole.extend(above[1:])

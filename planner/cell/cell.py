@@ -1,4 +1,4 @@
-"""The robot cell: arm, positioner, nozzle, limits and where everything stands, from robots/*.yaml and URDF."""
+"""The robot cell: arm, positioner, nozzle, limits and the placement of everything, from robots/*.yaml and URDF."""
 
 from __future__ import annotations
 
@@ -24,17 +24,25 @@ from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
 
 REVOLUTION = 2.0 * np.pi
-_STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
-LIMIT_ROOM = 0.07  # rad, m from the ends of joints' ranges that a search keeps: what moves between its rungs needs it
-LEAST_ROOM = 0.01  # the same where a search finds no way with that
-_ROUNDING = 1e-9  # rad: an angle at the end of its range is inside, though degrees became radians
+_STRAIGHT = 1e-3  # sine of the angle between axes 4 and 6 at joint 5's zero: below, they count as parallel there
+LIMIT_ROOM = 0.07  # rad, m: margin that a search keeps from the joint limits; motion between its rungs needs it
+LEAST_ROOM = 0.01  # the same, if a search finds no way with LIMIT_ROOM
+_ROUNDING = 1e-9  # rad: an angle at the end of its range stays inside it when converted from degrees
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Joint limits (n) in the cell's joint order: rad, rad/s, rad/s^2, rad/s^3; metres of joints that are sliding (indices).
+    """Joint limits (n) in the cell's joint order: rad, rad/s, rad/s^2, rad/s^3; metres for sliding joints.
 
-    room: what a search keeps from the ends of ranges; nothing that is found is judged by it
+    Attributes:
+        q_min: Least positions (n,) [rad; m for sliding joints].
+        q_max: Greatest positions (n,) [rad; m for sliding joints].
+        velocity: Greatest speeds (n,) [rad/s; m/s for sliding joints].
+        acceleration: Greatest accelerations (n,) [rad/s^2; m/s^2 for sliding joints].
+        jerk: Greatest jerks (n,) [rad/s^3; m/s^3 for sliding joints].
+        sliding: Indices of the sliding joints.
+        room: Margin that a search keeps from the ends of the ranges [rad; m for sliding joints]; its results are not
+            judged by it.
     """
 
     q_min: Array
@@ -47,14 +55,14 @@ class Limits:
 
     @property
     def turns(self) -> Flags:
-        """Which joints (n) turn, so that whole turns lead to the same posture."""
+        """Which joints (n,) turn, so that whole turns lead to the same posture."""
         return ~np.isin(np.arange(len(self.q_min)), self.sliding)
 
 
 @dataclass(frozen=True)
 class FlangeNozzle:
-    """One of several nozzles: its name, its pose on the flange (z out of the tip), and all that is on the flange while it is
-    in use, in its frame."""
+    """One of several nozzles: its name, its pose on the flange (z out of the tip), and all bodies on the flange while
+    it is in use, in the nozzle's frame."""
 
     name: str
     T_flange_nozzle: Array
@@ -63,24 +71,32 @@ class FlangeNozzle:
 
 @dataclass(frozen=True)
 class Cell:
-    """Arm with nozzle, and whatever holds the part.
+    """Arm with nozzle, and the holder of the part.
 
-    arm        chain from the world to the nozzle frame (z = nozzle axis), with the joints that carry the arm, if any
-    holder     chain from the world to the part frame; only the free axes, none for a fixed bed
-    limits     of the arm's joints, then the holder's
-    inverse    inverse kinematics of the arm, base to flange
-    T_world_base, T_flange_nozzle   what stands at the two ends of `inverse`
-    T_world_holder                  the part frame with the holder's free axes at 0
-    T_world_holder_base, T_plate_part   what stands at the two ends of the holder: its base, the part on its plate
-    head       bodies of nozzle and print head, in the nozzle frame; the robots' own bodies are theirs
-    fixtures   bodies that stand in the world frame; carried: those that turn with the part, in its frame
-    home       (n) start posture, arm then holder
-    arm_robot, holder_robot, held   the robots' own models, for whoever wants to check independently
-    carrier    what carries the arm, if anything does: in `arm_robot` it is one with the arm
-    nozzles    all of them, where there are several; the cell is that of one of them, see `at`
-    nozzle_of  which of them (index) lays each material, by name; in_use: whose cell this is
-    held_range least and greatest angle [rad], or place [m], that each held axis may have, by name
-    moving_only  the controller has no external axes that stand: what holds the part is no station where all are held
+    Attributes:
+        arm: Chain from the world to the nozzle frame (z = nozzle axis), with the joints that carry the arm, if any.
+        holder: Chain from the world to the part frame; only the free axes, none for a fixed bed.
+        limits: Limits of the arm's joints, then the holder's.
+        inverse: Inverse kinematics of the arm, base to flange.
+        T_world_base: Pose (4, 4) of the base at one end of `inverse`, in the world.
+        T_flange_nozzle: Pose (4, 4) of the nozzle on the flange, the other end of `inverse`.
+        T_world_holder: Pose (4, 4) of the part frame in the world, with the holder's free axes at 0.
+        home: Start posture (n,), arm then holder [rad; m for sliding joints].
+        arm_robot: The arm's own model, for independent checks; an arm's carrier is joined with it.
+        holder_robot: The holder's own model, for independent checks; None for a fixed bed.
+        held: Positions of the held axes, by name [rad; m for sliding ones], for independent checks.
+        T_world_holder_base: Pose (4, 4) of the holder's base in the world, at one end of the holder.
+        T_plate_part: Pose (4, 4) of the part on the holder's plate, at the other end.
+        head: Bodies of nozzle and print head, in the nozzle frame; those of the robots are stored with the robots.
+        fixtures: Bodies that stand still, in the world frame.
+        carried: Bodies that move with the part, in its frame.
+        carrier: The arm's carrier, if any; in `arm_robot`, it is joined with the arm.
+        nozzles: All nozzles, if there are several; the cell is that of one of them, see `at`.
+        nozzle_of: Index of the nozzle that lays each material, by name.
+        in_use: Index of the nozzle whose cell this is.
+        moving_only: Whether the controller has no external axes that stand still: a holder with all its axes held is no
+            station then.
+        held_range: Least and greatest position of each held axis, by name [rad; m for sliding ones].
     """
 
     arm: Chain
@@ -107,16 +123,24 @@ class Cell:
     held_range: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def at(self, material: str) -> Cell:
-        """The cell with the nozzle in use that lays a material: itself, where one lays all."""
+        """The cell using the nozzle that lays a material: itself, if one nozzle lays all.
+
+        Args:
+            material: Name of the material.
+        """
         return self.with_nozzle(self.nozzle_of[material]) if self.nozzles else self
 
     def with_nozzle(self, k: int) -> Cell:
-        """The cell with one of several nozzles in use."""
+        """The cell with one of several nozzles in use.
+
+        Args:
+            k: Index of the nozzle in `nozzles`.
+        """
         return self if k == self.in_use else self._by_nozzle[k]
 
     @property
     def nozzle_name(self) -> str:
-        """The name of the nozzle that is in use; empty where there is but one."""
+        """The name of the nozzle in use; empty if there is only one."""
         return self.nozzles[self.in_use].name if self.nozzles else ""
 
     @cached_property
@@ -135,7 +159,7 @@ class Cell:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names in joint order: arm, then holder; a holder's joint named as one of the arm's is `positioner_<name>`."""
+        """Names in joint order: arm, then holder; a holder's joint with the name of an arm's is `positioner_<name>`."""
         return _joint_names(self.arm, self.holder)
 
     @property
@@ -146,7 +170,7 @@ class Cell:
 
     @property
     def given(self) -> tuple[int, ...]:
-        """Joints (indices) of the arm that are chosen: what carries it, or the redundant one of seven."""
+        """Joints (indices) of the arm that are chosen: those that carry it, and the redundant one of seven."""
         return given_joints(self.inverse)
 
     @property
@@ -156,17 +180,17 @@ class Cell:
 
     @property
     def rails(self) -> int:
-        """How many joints carry the arm: they come before its own."""
+        """Number of joints that carry the arm; they come before its own."""
         return len(self.inverse.rail) if isinstance(self.inverse, OnRail) else 0
 
     @property
     def T_world_foot(self) -> Array:
-        """Where the arm's own base stands (4, 4), with the joints at 0 that carry it and may move."""
+        """Pose (4, 4) of the arm's own base in the world, with the free joints that carry it at 0."""
         return self._foot(np.zeros(self.rails))
 
     @property
     def T_world_foot_home(self) -> Array:
-        """Where the arm's own base stands (4, 4) at home."""
+        """Pose (4, 4) of the arm's own base in the world at home."""
         return self._foot(self.home[: self.rails])
 
     def _foot(self, q: Array) -> Array:
@@ -177,13 +201,15 @@ class Cell:
 
     @property
     def own(self) -> slice:
-        """The arm's own joints, without what carries it."""
+        """The arm's own joints, without its carrier's, as a slice of the posture."""
         return slice(self.rails, len(self.arm))
 
     @property
     def station(self) -> Robot | None:
-        """What programs count as external axes that hold the part: a second arm is none where all of its joints are held,
-        and a positioner is none then with `moving_only`."""
+        """The robot that programs treat as external axes holding the part.
+
+        A second arm whose joints are all held is none, nor is such a positioner with `moving_only`.
+        """
         robot = self.holder_robot
         if robot is None or len(self.holder):
             return robot
@@ -191,18 +217,18 @@ class Cell:
 
     @property
     def second_arm(self) -> Robot | None:
-        """The arm that moves the part, which has a task of its own on the controller; none where an axis does, or nothing."""
+        """The arm that moves the part in a controller task of its own; None if an axis moves it, or nothing does."""
         return self.station if self.station is not None and self.station.inverse is not None else None
 
     @property
     def besides(self) -> tuple[int, ...]:
-        """All other joints (indices), which a controller counts as external axes: what carries the arm, the holder's."""
+        """The joints (indices) that a controller counts as external axes: the carrier's and the holder's."""
         na = len(self.arm)
         return (*range(self.rails), *range(na, na + len(self.holder)))
 
     @property
     def own_inverse(self) -> InverseKinematics:
-        """Inverse kinematics of the arm alone, without what carries it."""
+        """Inverse kinematics of the arm alone, without its carrier."""
         return self.inverse.arm if isinstance(self.inverse, OnRail) else self.inverse
 
     @property
@@ -212,12 +238,21 @@ class Cell:
 
     @property
     def tells_posture(self) -> bool:
-        """Whether a pose and a branch tell a posture as controllers of industrial arms have it: `as_counted` is one of a
-        spherical wrist, counted as data sheets do."""
+        """Whether a pose and a branch define a posture in the way controllers of industrial arms do.
+
+        `as_counted` then has a spherical wrist, its joints counted as in data sheets.
+        """
         return isinstance(self.own_inverse, SphericalWrist | PlacedWrist)
 
     def counted(self, q: Array) -> Array:
-        """Joints (m, n) of `as_counted` at postures q (m, n)."""
+        """Joints of `as_counted` at given postures.
+
+        Args:
+            q: Postures (m, n) of this cell [rad; m for sliding joints].
+
+        Returns:
+            Joints (m, n) of `as_counted` [rad; m for sliding joints].
+        """
         placed = self.own_inverse
         if not isinstance(placed, PlacedWrist):
             return q
@@ -227,10 +262,12 @@ class Cell:
 
     @property
     def as_counted(self) -> Cell:
-        """The same cell, the joints of an arm with a spherical wrist counted as data sheets do, from upper arm upright and
-        forearm level, between the frames that controllers have; itself where they are, and for other arms.
+        """The same cell with the joints of a spherical-wrist arm counted as in data sheets.
 
-        Of the arm's model only speeds are the same: poses are those of the chain `arm`.
+        They count from upper arm upright and forearm level, between the frames that controllers use. It is the cell
+        itself if they are counted so already, and for other arms.
+
+        Only the speeds of the arm's model still hold: take poses from the chain `arm`.
         """
         placed, k = self.own_inverse, self.rails
         if not isinstance(placed, PlacedWrist):
@@ -268,12 +305,12 @@ class Cell:
 
     @property
     def straightens(self) -> bool:
-        """Whether the arm, of six axes of its own, is singular where axes 4 and 6 are parallel."""
+        """Whether the arm has six axes of its own and is singular where axes 4 and 6 are parallel."""
         return len(self.arm) - self.rails == 6 and not isinstance(self.own_inverse, SkewWrist)
 
     @property
     def straight_at(self) -> float:
-        """Where joint 5 of six stands when axes 4 and 6 are parallel [rad], or half a turn from there: 0 mostly."""
+        """Angle of joint 5 of six at which axes 4 and 6 are parallel [rad], the same way or opposite; usually 0."""
         if len(self.solved) != 6 or self.given not in ((), tuple(range(self.rails))):
             return 0.0
         fourth, fifth, sixth = self.arm.screws[self.rails + 3 : self.rails + 6, 3:]
@@ -282,26 +319,53 @@ class Cell:
 
     @property
     def wrist(self) -> SphericalWrist:
-        """`inverse`, for what is written for spherical wrists only; raises Refusal for any other arm."""
+        """`inverse`, for code that supports spherical wrists only.
+
+        Raises:
+            Refusal: For any other arm.
+        """
         if not isinstance(self.inverse, SphericalWrist):
             raise Refusal(f"this cannot be done yet with {self.arm_robot.name}: its wrist is not spherical")
         return self.inverse
 
     def flange_of_second_arm(self, q: Array) -> Array:
-        """Its poses in the world (m, 4, 4), at the free joints q (m, k) of what moves the part."""
+        """Flange poses of the second arm in the world.
+
+        Args:
+            q: Positions (m, k) of its free joints [rad; m for sliding joints].
+
+        Returns:
+            Poses (m, 4, 4) in the world.
+        """
         return self.holder.poses(q) @ rigid_inverse(self.T_plate_part[None])
 
     def T_part_nozzle(self, q: Array) -> Array:
-        """Nozzle poses in the part frame (m, 4, 4) of postures q (m, n)."""
+        """Nozzle poses in the part frame.
+
+        Args:
+            q: Postures (m, n), arm then holder [rad; m for sliding joints].
+
+        Returns:
+            Poses (m, 4, 4) in the part frame.
+        """
         na = len(self.arm)
         T_world_nozzle = self.arm.poses(q[:, :na])
         T_world_part = self.holder.poses(q[:, na:])
         return rigid_inverse(T_world_part) @ T_world_nozzle
 
     def postures(self, T_part_nozzle: Array, near: Array, branch: Indices) -> tuple[Array, Flags]:
-        """Joints (m, n) that hold the nozzle at poses (m, 4, 4), and whether they exist (m); `near` (m, n) where they do not.
+        """Joints that hold the nozzle at given poses, and whether they exist.
 
-        All that is chosen is as `near` has it, the branch (m) as given, each joint in the turn that is nearest.
+        Chosen joints are those of `near`, and each joint is in the turn nearest to `near`.
+
+        Args:
+            T_part_nozzle: Nozzle poses (m, 4, 4) in the part frame.
+            near: Postures (m, n), arm then holder [rad; m for sliding joints].
+            branch: Branch (m,) of the inverse kinematics, for each pose.
+
+        Returns:
+            Joints (m, n) [rad; m for sliding joints], those of `near` where there are none.
+            Whether they exist (m,).
         """
         na, given = len(self.arm), list(self.given)
         T_base_flange = (
@@ -321,7 +385,7 @@ class Cell:
 
 
 def near_ends(cell: Cell) -> Cell:
-    """The cell, searched as near to the ends of joints' ranges as may be, see `Limits.room`."""
+    """The cell, to be searched as close to the joint limits as allowed, see `Limits.room`."""
     return replace(cell, limits=replace(cell.limits, room=LEAST_ROOM))
 
 
@@ -416,9 +480,9 @@ def build_cell(problem: Problem) -> Cell:
 
 
 def _flange_nozzles(problem: Problem) -> tuple[FlangeNozzle, ...]:
-    """The nozzle of a problem, or all of them, each with its print head, and with the others where these are beside it.
+    """A problem's nozzle, or all of them, each with its print head, and with the others if they are mounted next to it.
 
-    Bodies have the nozzle's name in theirs where there are several. Raises InputError for a mesh that cannot be read.
+    If there are several, their bodies' names contain the nozzle's. Raises InputError for a mesh that cannot be read.
     """
     spec, found = problem.cell, []
     for name, own in (spec.nozzles or {"": spec.nozzle}).items():
@@ -433,13 +497,13 @@ def _flange_nozzles(problem: Problem) -> tuple[FlangeNozzle, ...]:
 
 
 def _beside(own: FlangeNozzle, other: FlangeNozzle) -> tuple[Body, ...]:
-    """The bodies of another nozzle, in the frame of the one that is in use."""
+    """The bodies of another nozzle, in the frame of the one in use."""
     T = rigid_inverse(own.T_flange_nozzle) @ other.T_flange_nozzle
     return tuple(replace(body, T_frame_solid=T @ body.T_frame_solid) for body in other.head)
 
 
 def _nozzle_of(problem: Problem) -> dict[str, int]:
-    """Which of several nozzles (index) lays each material, by name."""
+    """Index of the nozzle, of several, that lays each material, by name."""
     names = list(problem.cell.nozzles)
     return {name: names.index(spec.nozzle) for name, spec in problem.process.materials.items() if spec.nozzle}
 
@@ -447,8 +511,8 @@ def _nozzle_of(problem: Problem) -> dict[str, int]:
 def _held(
     problem: Problem, spec: PositionerSpec, robot: Robot, arm: Chain
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
-    """Angles [rad] and places [m] of the axes that are not free, by name, and their ranges, those of `cell.limits` where these
-    are given; InputError for names and values that the robot has not."""
+    """Positions [rad, m] of the axes that are not free, by name, and their ranges, taken from `cell.limits` if given
+    there; InputError for unknown names and for values out of range."""
     axes, slides = robot.joint_names, dict(zip(robot.joint_names, robot.slides, strict=True))
     given = {"held_deg": spec.held, "held_mm": spec.held_mm, "home_deg": spec.home, "home_mm": spec.home_mm}
     for named, names in {"free": spec.free, **given}.items():
@@ -464,7 +528,7 @@ def _held(
     for named in ("home_deg", "home_mm"):
         for name in given[named]:
             if name not in spec.free:
-                hint = f"that of a held axis stands in {named.replace('home', 'held')}"
+                hint = f"the value of a held axis goes in {named.replace('home', 'held')}"
                 raise problem.error(f"cell.positioner.{named}.{name}", f"axis {name!r} is not free", hint)
     out, ranges = {}, {}
     for i, name in enumerate(axes):
@@ -476,16 +540,18 @@ def _held(
         low, high = range_ or (float(robot.model.lowerPositionLimit[i]), float(robot.model.upperPositionLimit[i]))
         ranges[name] = low, high
         named = "held_mm" if slides[name] else "held_deg"
-        # where nobody says it, 0; of an axis that slides, what of its range is nearest to that
+        # by default 0; for an axis that slides, the position in its range nearest to 0
         out[name] = at = given[named].get(name, float(np.clip(0.0, low, high)) if slides[name] else 0.0)
         if not low - _ROUNDING <= at <= high + _ROUNDING:
-            reason = "it is outside the axis' range" if name in given[named] else "0, its default, is outside its range"
+            reason = (
+                "it is outside the axis's range" if name in given[named] else "0, its default, is outside its range"
+            )
             raise problem.error(f"cell.positioner.{named}.{name}", reason, in_words(low, high, slides[name]))
     return out, ranges
 
 
 def _holder_base(spec: PositionerSpec, robot: Robot) -> Array:
-    """Where the base of what holds the part stands (4, 4): at base_mm, or so that the plate's centre is at origin_mm."""
+    """Pose (4, 4) of the holder's base: at base_mm, or such that the plate's centre is at origin_mm."""
     turn = np.eye(4)
     turn[:3, :3] = pin.rpy.rpyToMatrix(0.0, 0.0, spec.turn)
     if spec.base is not None:
@@ -499,7 +565,7 @@ def _joint_names(arm: Chain, holder: Chain) -> tuple[str, ...]:
 
 
 def _in_cell(name: str, arm: Chain) -> str:
-    """What an axis of whatever holds the part is called among the cell's joints."""
+    """The name of a holder's axis among the cell's joints."""
     return f"positioner_{name}" if name in arm.names else name
 
 
@@ -512,8 +578,8 @@ def _limits(
     holder: Chain,
     below: tuple[str, ...],
 ) -> Limits:
-    """Limits of all joints that move; those of an axis that holds the part still are looked at by `_held`, those of a joint
-    below the arm that stands (below) by `carried_arm`."""
+    """Limits of all joints that move. Those of the holder's held axes are checked by `_held`, those of the carrier's
+    held joints (below) by `carried_arm`."""
     rows = []
     for robot, chain in ((arm_robot, arm), (holder_robot, holder)):
         if robot is None:
@@ -548,8 +614,8 @@ def _limits(
 
 
 def turned_into(q: Array, low: Array, high: Array) -> Array:
-    """Angles (..., n) [rad] of joints that turn, each in the turn nearest to the middle of its range (n), low to high:
-    within it, where any turn is."""
+    """Angles (..., n) [rad] of turning joints, each in the turn nearest to the middle of its range (n), low to high:
+    within the range, if any turn is."""
     return np.asarray(q + REVOLUTION * np.round((0.5 * (low + high) - q) / REVOLUTION))
 
 

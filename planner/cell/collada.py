@@ -1,8 +1,8 @@
-"""COLLADA files (.dae) as robots' meshes have them: triangles with the colours of their materials.
+"""Read robot meshes from COLLADA files (.dae): triangles with the colours of their materials.
 
-The loader that reads meshes for collision knows no colours, and no unit. Of the format only this is read: the unit,
-positions, polygons, the nodes' matrices, and the diffuse colour of each material. Which axis is up is for the URDF to say,
-as ROS has it. COLLADA 1.4.1, https://www.khronos.org/collada/.
+The loader for collision meshes reads neither colours nor the unit. Only these parts of the format are read here: the
+unit, positions, polygons, the nodes' matrices, and the diffuse colour of each material. The up axis is left to the
+URDF, as in ROS. COLLADA 1.4.1, https://www.khronos.org/collada/.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array, Ints
 
 GAMMA = 2.2  # colours of the files are linear, those of screens are not
-PALE = (0.8, 0.8, 0.8)  # where a material has no colour
+PALE = (0.8, 0.8, 0.8)  # for a material without a colour
 
 
 def unit_of(path: Path) -> float:
-    """How many metres the unit of a COLLADA file is; 1 where it names none, of other files, and of what cannot be read."""
+    """Length of a COLLADA file's unit [m]; 1 if it names none, for other files, and for files that cannot be read."""
     if path.suffix.lower() != ".dae":
         return 1.0
     try:
@@ -33,12 +33,12 @@ def unit_of(path: Path) -> float:
                 if tag == "asset":  # the file's own comes first
                     break
     except (ET.ParseError, OSError, LookupError, ValueError):
-        pass  # whoever reads the rest says what is wrong
+        pass  # the error is reported when the rest is read
     return 1.0
 
 
 def write_without_unit(path: Path, copy: Path) -> None:
-    """Write a COLLADA file again without the unit that it names. Raises ValueError for one that cannot be read."""
+    """Write a copy of a COLLADA file without its unit. Raises ValueError for a file that cannot be read."""
     root = _root(path)
     for asset in root.iter("asset"):
         for unit in asset.findall("unit"):
@@ -47,7 +47,7 @@ def write_without_unit(path: Path, copy: Path) -> None:
 
 
 def _root(path: Path) -> ET.Element:
-    """What a file holds, its tags without their namespace."""
+    """A file's root element, its tags without their namespace."""
     try:
         root = ET.parse(path).getroot()
     except (ET.ParseError, OSError) as error:
@@ -60,7 +60,7 @@ def _root(path: Path) -> ET.Element:
 def read_collada(path: Path) -> tuple[Array, Ints, NDArray[np.uint8]]:
     """Vertices (n, 3) [m], triangles (m, 3), and their colours (m, 3).
 
-    Raises ValueError for a file that has something else, or nothing, to be seen.
+    Raises ValueError for a file that shows anything else, or nothing.
     """
     root = _root(path)
     named = {f"#{element.get('id')}": element for element in root.iter() if element.get("id")}
@@ -71,7 +71,7 @@ def read_collada(path: Path) -> tuple[Array, Ints, NDArray[np.uint8]]:
         for instance, place in _instances(scene, T):
             geometry = named.get(instance.get("url", ""))
             if geometry is None:
-                raise ValueError(f"{path.name} shows a geometry that it has not")
+                raise ValueError(f"{path.name} refers to a geometry that it does not contain")
             materials = {
                 each.get("symbol", ""): named.get(each.get("target", "")) for each in instance.iter("instance_material")
             }
@@ -81,12 +81,12 @@ def read_collada(path: Path) -> tuple[Array, Ints, NDArray[np.uint8]]:
                 colours.append(np.tile(_diffuse(materials.get(symbol), named), (len(corners), 1)))
                 first += len(positions)
     if not first:
-        raise ValueError(f"{path.name} shows nothing")
+        raise ValueError(f"{path.name} has no geometry")
     return np.concatenate(vertices), np.concatenate(triangles), np.round(255 * np.concatenate(colours)).astype(np.uint8)
 
 
 def _instances(node: ET.Element, T: Array) -> Iterator[tuple[ET.Element, Array]]:
-    """Geometries below a node, with where they stand (4, 4)."""
+    """Instances of geometries below a node, with their transforms (4, 4)."""
     if any(
         node.find(other) is not None for other in ("translate", "rotate", "scale", "lookat", "skew", "instance_node")
     ):

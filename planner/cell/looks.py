@@ -1,7 +1,7 @@
-"""What a robot's links look like: the meshes that its URDF shows, or shells of their collision shapes.
+"""How a robot's links look: the visual meshes of its URDF, or shells of their collision shapes.
 
-Nothing is planned or checked with it. So a mesh that is missing or cannot be read refuses no robot: its link is drawn by
-what is checked.
+Nothing is planned or checked with these. So a missing or unreadable mesh is no reason to refuse a robot: its link is
+drawn from its collision shapes instead.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from planner.cell.solids import Body, Look
 from planner.cell.surfaces import TriangleSurface, creased, decimated, joined, rgb, solid_surface
 from planner.cell.urdf import FARTHEST
 
-PLAIN, TRIM = "#d9dde2", "#6a727b"  # of what has no colour of its own, and of covers on joints
-STEPS = 46  # cells along the longest side of a mesh, at which it is decimated
-LEAST_STEP = 2.5e-3  # m
-LARGEST_CAST = 1.7  # m: what is larger is built of beams, not cast
+PLAIN, TRIM = "#d9dde2", "#6a727b"  # for bodies without a colour of their own, and for covers on joints
+STEPS = 46  # grid cells along the longest side of a mesh that is decimated
+LEAST_STEP = 2.5e-3  # m: the smallest cell
+LARGEST_CAST = 1.7  # m: anything larger is built of beams, not cast
 
 
 def link_surface(bodies: Sequence[Body], looks: Sequence[Look], axes: Array | None) -> TriangleSurface:
-    """What a link looks like, in the frame that carries it.
+    """The surface of a link as drawn, in the frame that carries it.
 
-    bodies, looks  of the link; without looks, or where one cannot be read, its bodies are drawn
-    axes (k, 6)    see `planner.cell.shells.casting`; None of what is built of beams, not cast
+    bodies, looks  of the link; without looks, or if one cannot be read, its bodies are drawn
+    axes (k, 6)    see `planner.cell.shells.casting`; None for a link that is built of beams, not cast
     """
     if looks:
         try:
             return joined([_mesh_surface(look) for look in looks])
         except ValueError:
-            pass  # drawn as what is checked, then
+            pass  # draw the collision shapes instead
     plain = bodies_surface(bodies)
     if axes is None or not castable(bodies) or np.ptp(plain.vertices, axis=0).max() > LARGEST_CAST:
         return plain
@@ -72,7 +72,7 @@ def _mesh_surface(look: Look) -> TriangleSurface:
 
 @cache
 def _mesh(path: Path, changed: int) -> tuple[Array, Ints, NDArray[np.uint8]]:
-    """Vertices [units of the file], triangles and their colours, as they were when the file was last changed [ns].
+    """Vertices [units of the file], triangles and their colours; cached by the time of the file's last change [ns].
 
     Raises ValueError for a file that cannot be read.
     """
@@ -80,6 +80,6 @@ def _mesh(path: Path, changed: int) -> tuple[Array, Ints, NDArray[np.uint8]]:
         try:
             return read_collada(path)
         except ValueError:
-            pass  # it may hold what the loader knows and this reader does not
+            pass  # the loader may understand what this reader does not
     mesh = read_mesh(path)
     return mesh.vertices, mesh.triangles, np.tile(rgb(PLAIN), (len(mesh.triangles), 1))

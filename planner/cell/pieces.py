@@ -1,8 +1,8 @@
-"""Meshes as convex bodies: few planes around a fine one, and a bent one as a few pieces.
+"""Turn meshes into convex bodies: a fine mesh into a hull of few planes, a bent one into a few pieces.
 
-The surface is cut by planes, and each piece is replaced by its hull. The hull of what lies on one side of a plane contains
-all of the solid there, so the pieces contain the whole solid. Of some cuts across each axis the one is taken that removes
-most of the volume that hulls add to the solid.
+The surface is cut by planes, and each piece is replaced by its hull. The hull of the surface on one side of a plane
+contains all of the solid there, so the pieces contain the whole solid. Several cuts across each axis are compared; the
+one that removes most of the volume that hulls add to the solid is made.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from planner.base.arrays import Array, Ints
 
-_PLACES = np.linspace(0.0, 1.0, 9)[1:-1]  # of cuts along a body, as shares of its length
-_LOOKED = 96  # directions in which a side's farthest points stand for it while cuts are compared
-_WORTH = 0.01  # of the whole body's hull that a cut takes away, at least
-_THIN = 1e-6  # m: what is thinner has no hull
-MOST_PLANES = 2000  # of a hull: a finer one costs time for nothing, and coal does not take all of them
-_MOST_AROUND = 200  # triangles around one corner, where those of a face meet; of 255 coal says "too many neighbours"
-_FACES, _AROUND = 300, 300  # of one too fine: planes along its largest faces, and others spread around it
-# rad between these faces, the first that serves: a round end has a corner at each face of its rim, and is itself cut into
-# triangles around one of them
+_PLACES = np.linspace(0.0, 1.0, 9)[1:-1]  # positions of cuts along a body, as fractions of its length
+_LOOKED = 96  # directions whose farthest points represent a side while cuts are compared
+_WORTH = 0.01  # share of the whole body's hull volume that a cut must remove
+_THIN = 1e-6  # m: anything thinner has no hull
+MOST_PLANES = 2000  # of a hull: a finer one costs time for nothing, and coal does not accept all of them
+_MOST_AROUND = 200  # triangles that meet in one corner, as those of a face do; at 255, coal says "too many neighbours"
+_FACES, _AROUND = 300, 300  # planes of a hull that was too fine: along its largest faces, and spread around it
+# rad between these faces, of which the first that works is used: a round end has a corner at each face of its rim, and
+# is itself cut into triangles around one of them
 _APART = (0.0, np.radians(10.0), np.radians(20.0))
 
 
 class _Cut(NamedTuple):
-    """How much less the hulls hold after a cut [m^3], and both sides' triangles (m, 3, 3)."""
+    """Volume that a cut removes from the hulls [m^3], and the triangles (m, 3, 3) of both sides."""
 
     gain: float
     low: Array
@@ -36,9 +36,9 @@ class _Cut(NamedTuple):
 
 
 def convex_pieces(corners: Array, most: int) -> list[Array]:
-    """Corners (n, 3) of at most so many convex pieces that together hold a closed surface's triangles (m, 3, 3) [m].
+    """Corners (n, 3) of at most `most` convex pieces that together contain a closed surface's triangles (m, 3, 3) [m].
 
-    Raises QhullError or ValueError where the triangles lie in one plane.
+    Raises QhullError or ValueError if the triangles lie in one plane.
     """
     whole = _hull(corners)
     if whole is None:
@@ -57,9 +57,11 @@ def convex_pieces(corners: Array, most: int) -> list[Array]:
 
 
 def lean_hull(points: Array) -> Array:
-    """Corners (n, 3) of the hull of points (m, 3) [m]; of one around it, where it has more planes than are of use.
+    """Corners (n, 3) of the hull of points (m, 3) [m], or of a simpler one around it.
 
-    Raises QhullError or ValueError where they lie in one plane.
+    It is simplified if it has too many planes, or too many triangles meet in one corner.
+
+    Raises QhullError or ValueError if the points lie in one plane.
     """
     hull = ConvexHull(points)
     planes = len(np.unique(np.round(hull.equations, 12), axis=0))
@@ -78,12 +80,12 @@ def lean_hull(points: Array) -> Array:
 
 
 def _most_around(hull: ConvexHull) -> int:
-    """How many triangles meet in one corner of a hull, at most."""
+    """The largest number of triangles that meet in one corner of a hull."""
     return int(np.bincount(hull.simplices.ravel()).max())
 
 
 def _faces_by_size(hull: ConvexHull) -> Array:
-    """Normals (n, 3) of a hull's faces, those of nearly one direction together, the largest first."""
+    """Normals (n, 3) of a hull's faces, largest first; faces of nearly the same direction count as one."""
     corners = hull.points[hull.simplices]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     _, first, alike = np.unique(np.round(hull.equations[:, :3], 2), axis=0, return_index=True, return_inverse=True)
@@ -92,7 +94,7 @@ def _faces_by_size(hull: ConvexHull) -> Array:
 
 
 def _kept_apart(directions: Array, apart: float) -> Array:
-    """Unit vectors (n, 3) without those nearer than an angle [rad] to one before them that stays."""
+    """Unit vectors (n, 3) without those within an angle [rad] of one that is kept before them."""
     if apart == 0.0:
         return directions
     kept = directions[:1]
@@ -103,7 +105,7 @@ def _kept_apart(directions: Array, apart: float) -> Array:
 
 
 def _hull(corners: Array) -> ConvexHull | None:
-    """The hull of triangles (m, 3, 3), none of what is flat."""
+    """The hull of triangles (m, 3, 3); None if they are flat."""
     points = np.unique(corners.reshape(-1, 3), axis=0)
     if len(points) < 4 or np.linalg.matrix_rank(points - points[0], tol=_THIN) < 3:
         return None
@@ -114,9 +116,9 @@ def _hull(corners: Array) -> ConvexHull | None:
 
 
 def _volume(farthest: Array, also: Array | None = None) -> float:
-    """Of the hull of a side's farthest points [m^3]: nearly that of its hull, and much sooner known.
+    """Volume of the hull of a side's farthest points [m^3]: close to that of its whole hull, and much faster.
 
-    farthest, also: (directions, 3), in each direction one; of both the one that is farther counts.
+    farthest, also: (directions, 3), one point per direction; the farther of both counts.
     """
     if also is not None:
         beyond = ((also - farthest) * _DIRECTIONS).sum(axis=1) > 0.0
@@ -139,12 +141,12 @@ _DIRECTIONS = np.vstack([_all_round(_LOOKED), np.eye(3), -np.eye(3)])
 
 
 def _best_cut(corners: Array) -> _Cut:
-    """The cut across an axis that takes most away; none gains anything where the triangles are too few.
+    """The cut across an axis that removes most; its gain is 0 if no cut removes anything.
 
-    All cuts across an axis share one look at the corners: these are sorted along it, and between two cuts each direction has
-    one that is farthest. Only where a cut meets triangles are there further ones to look at.
+    All cuts across an axis share one pass over the corners: these are sorted along it, and each direction has one
+    farthest corner between two cuts. Only the points where a cut meets triangles are examined for each cut.
     """
-    points = _once(corners.reshape(-1, 3))  # most corners are of six triangles
+    points = _once(corners.reshape(-1, 3))  # most corners belong to six triangles
     low, high = points.min(axis=0), points.max(axis=0)
     none = _Cut(0.0, corners, corners[:0])
     if (high - low).min() < _THIN:
@@ -166,15 +168,15 @@ def _best_cut(corners: Array) -> _Cut:
 
 
 def _once(points: Array) -> Array:
-    """Points (n, 3), each once."""
+    """Points (n, 3) without duplicates."""
     points = points[np.lexsort(points.T)]
     return points[np.append(True, (points[1:] != points[:-1]).any(axis=1))]
 
 
 class _Farthest(NamedTuple):
-    """Which of sorted points is farthest in each direction, up to each cut and beyond it.
+    """Indices of the farthest of sorted points in each direction, up to each cut and beyond it.
 
-    below    (cuts + 1, directions): the last row is of all points; above (cuts, directions)
+    below    (cuts + 1, directions): the last row is for all points; above (cuts, directions)
     """
 
     below: Ints
@@ -182,7 +184,7 @@ class _Farthest(NamedTuple):
 
     @classmethod
     def of(cls, points: Array, cuts: Ints) -> _Farthest:
-        """Of points (n, 3) and how many of them lie up to each cut; some lie below the first and above the last."""
+        """From points (n, 3) and how many of them lie up to each cut; some lie below the first and above the last."""
         away = _DIRECTIONS @ points.T
         edges = [0, *cuts.tolist(), len(points)]
         slabs = [k for k in range(len(edges) - 1) if edges[k] < edges[k + 1]]
@@ -192,7 +194,7 @@ class _Farthest(NamedTuple):
 
     @staticmethod
     def _running(away: Array, own: dict[int, Ints], order: Iterable[int]) -> Ints:
-        """The farthest of all slabs so far (n, directions), slab after slab."""
+        """The farthest in all slabs so far (n, directions), slab after slab."""
         rows, out = np.arange(len(away)), list[Ints]()
         for k in order:
             before, now = out[-1] if out else own[k], own.get(k)
@@ -201,7 +203,7 @@ class _Farthest(NamedTuple):
 
 
 def _on_cut(corners: Array, axis: int, place: float) -> Array:
-    """Where edges of triangles (m, 3, 3) meet a plane across an axis (n, 3)."""
+    """Points (n, 3) where edges of triangles (m, 3, 3) meet a plane across an axis."""
     away = corners[:, :, axis] - place
     met = corners[(away.min(axis=1) < 0.0) & (away.max(axis=1) > 0.0)]
     begin, end = met.reshape(-1, 3), np.roll(met, -1, axis=1).reshape(-1, 3)
@@ -212,12 +214,12 @@ def _on_cut(corners: Array, axis: int, place: float) -> Array:
 
 
 def _outermost(points: Array) -> Array | None:
-    """Of points (n, 3) the farthest in each direction (directions, 3); None of no points."""
+    """The farthest of points (n, 3) in each direction (directions, 3); None if there are no points."""
     return points[(_DIRECTIONS @ points.T).argmax(axis=1)] if len(points) else None
 
 
 def _side(corners: Array, axis: int, place: float, sign: float) -> Array:
-    """What of triangles (m, 3, 3) lies on one side of a plane across an axis, cut there."""
+    """The parts of triangles (m, 3, 3) on one side of a plane across an axis, cut at the plane."""
     away = sign * (corners[:, :, axis] - place)
     inside = away >= 0.0
     count = inside.sum(axis=1)

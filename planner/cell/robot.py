@@ -1,4 +1,4 @@
-"""robots/*.yaml and the URDF that each names -> Robot. The URDF may come from an installed package."""
+"""Read robots/*.yaml and the URDF that each names into a Robot. The URDF may come from an installed package."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from planner.cell.urdf import (
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
-_INVERSE = ("spherical_wrist", "inverse_kinematics")  # keys, one of which an arm has
-_SAME_POSE = 1e-9  # m: closed form and URDF are one arm
-_ROUNDED = 1e-4  # m: so near they are one but for a URDF's rounded angles, such as 1.57 of a quarter turn
+_INVERSE = ("spherical_wrist", "inverse_kinematics")  # keys of a robot's file: an arm has one of them
+_SAME_POSE = 1e-9  # m: within this, closed form and URDF are the same arm
+_ROUNDED = 1e-4  # m: within this, they differ only by the URDF's rounded angles, such as 1.57 for a quarter turn
 _POSTURES = 20
 
 
@@ -48,13 +48,13 @@ class Robot:
     """One robot as its files describe it: a Pinocchio model of the joints from base to tip, its tip frame, and what
     a URDF cannot say; no inverse kinematics if it is not an arm.
 
-    stand    link in which the first joint turns: of an arm its own base, whatever that stands on in the URDF
-    language what its controller is programmed in: one of LANGUAGE_NAMES
-    bodies   one tuple for each joint index of the model (0: what does not move), in the joint's frame; all empty if
-             the URDF has no collision shapes
-    looks    meshes that its links show, in the same way; empty where the URDF shows none
-    measured what of its limits was measured, and from what, in words; empty where nothing was
-    controller  what its controller was measured to do: fields of its model (planner.export.player.model) and values [SI]
+    stand    link in which the first joint turns: for an arm, its own base, whatever that stands on in the URDF
+    language that its controller is programmed in: one of LANGUAGE_NAMES
+    bodies   one tuple for each joint index of the model (0: bodies that do not move), in the joint's frame; all empty
+             if the URDF has no collision shapes
+    looks    visual meshes of its links, arranged likewise; empty if the URDF has none
+    measured which of its limits were measured, and from what, in words; empty if none were
+    controller  its controller's measured behaviour: fields of its model (planner.export.player.model) and values [SI]
     """
 
     key: str
@@ -79,17 +79,17 @@ class Robot:
 
     @property
     def counts_as_controllers(self) -> bool:
-        """Whether its joints are those of the usual industrial arm, counted as data sheets and controllers do."""
+        """Whether its joints are those of the usual industrial arm, counted as in data sheets and by controllers."""
         return isinstance(self.inverse, SphericalWrist)
 
     @cached_property
     def slides(self) -> tuple[bool, ...]:
-        """Of each joint whether it slides: its places are metres."""
+        """Whether each joint slides, so that its positions are in metres."""
         return tuple(not joint_axis(self.model, i)[:3].any() for i in range(1, self.model.njoints))
 
     @property
     def T_base_stand(self) -> Array:
-        """Where `stand` is (4, 4), seen from the base; of an arm on what may move, from the joint that carries it."""
+        """Pose (4, 4) of `stand` in the base frame; for an arm on a moving carrier, in the carrying joint's frame."""
         return _placement(self.model, self.stand)
 
 
@@ -99,7 +99,7 @@ def robot_names(folder: Path = ROBOTS) -> list[str]:
 
 
 def shipped_robots(arms: bool) -> dict[str, str]:
-    """Robots that ship, by key: maker and type; those that are arms, or those that are none and only hold parts.
+    """Maker and type of the robots that ship, by key: the arms, or the others, which hold parts or carry arms.
 
     Only their YAML files are read.
     """
@@ -118,11 +118,11 @@ def _shipped_files() -> tuple[RobotFile, ...]:
 def load_robot(robot: str | Path, problem: Problem, field: str) -> Robot:
     """Read a robot that ships, by its key, or the user's own, by its file.
 
-    Raises InputError, of the problem's field, where there is none, and for whatever is wrong with its files.
+    Raises InputError for the problem's field if there is no such robot, and for any error in its files.
     """
     if isinstance(robot, Path):
         if not robot.is_file():
-            hint = "counted from the problem file's folder; robots that ship go by name"
+            hint = "paths are relative to the problem file's folder; shipped robots go by name"
             raise problem.error(field, f"no file {robot}", hint)
         return read_robot(robot)
     if robot not in robot_names():
@@ -131,7 +131,7 @@ def load_robot(robot: str | Path, problem: Problem, field: str) -> Robot:
 
 
 def names_meant(key: str) -> str:
-    """What somebody may have meant who named a robot that there is not."""
+    """A hint for the name of an unknown robot: a similar name, or all that are known."""
     near = nearest_name(key, robot_names())
     if near:
         return f"did you mean {near}?"
@@ -140,7 +140,7 @@ def names_meant(key: str) -> str:
 
 
 def read_robot(path: Path) -> Robot:
-    """Read a robot's YAML file and its URDF. Raises InputError for whatever is wrong with them."""
+    """Read a robot's YAML file and its URDF. Raises InputError for any error in them."""
     file = read_robot_file(path)
     urdf = read_urdf(file.urdf())
     model = _model(file, urdf)
@@ -184,7 +184,7 @@ def _language(file: RobotFile) -> str:
 
 
 def _model(file: RobotFile, urdf: Urdf) -> pin.Model:
-    """Pinocchio's model of the joints from base to tip, with the ranges and speeds that the robot's file knows."""
+    """Pinocchio's model of the joints from base to tip, with the ranges and speeds that the robot's file gives."""
     tip = file.text("tip")
     file.known("tip", "link", tip, urdf.links())
     joints = names_of(moving_joints(urdf, tip))
@@ -198,18 +198,18 @@ def _model(file: RobotFile, urdf: Urdf) -> pin.Model:
 
 
 def _inverse(file: RobotFile, model: pin.Model, stand: str) -> InverseKinematics | None:
-    """The closed form that the file names, held to the URDF; corrected where an arm is nearly of its kind. stand: as of a
-    `Robot`."""
+    """The inverse kinematics that the file names, checked against the URDF, and corrected for an arm that is only
+    nearly of that kind. stand: as in `Robot`."""
     data = file.data
     given = [key for key in _INVERSE if key in data]
     if not given:
         return None
     if len(given) > 1:
-        raise file.error(given[1], "spherical_wrist is given as well", "an arm has one inverse kinematics")
+        raise file.error(given[1], "spherical_wrist is given as well", "an arm has only one inverse kinematics")
     field = given[0]
     if slides := [name for i, name in enumerate(model.names[1:], 1) if not joint_axis(model, i)[:3].any()]:
         hint = "a rail has a file of its own, and carries the arm: cell.base of the problem file"
-        raise file.error(field, f"joint {slides[0]} slides, and those of an arm turn", hint)
+        raise file.error(field, f"joint {slides[0]} slides, but those of an arm turn", hint)
     chain = base_to_tip(model, data["tip"])
     T_base_stand = _placement(model, stand)
     inverse = _spherical(file, chain) if field == "spherical_wrist" else _read_off(file, chain, T_base_stand)
@@ -221,14 +221,14 @@ def _inverse(file: RobotFile, model: pin.Model, stand: str) -> InverseKinematics
     if isinstance(inverse, PlacedWrist | OffsetWrist | SevenAxes):
         return Corrected(inverse, chain)
     if apart.max() <= _ROUNDED:
-        read = read_spherical_wrist(chain, T_base_stand)  # which takes in a tip that is rounded
+        read = read_spherical_wrist(chain, T_base_stand)  # this absorbs a rounded tip
         return read if np.abs(seen - read.poses(q)).max() <= _SAME_POSE else Corrected(read, chain)
     worst = int(np.argmax(apart))
     at, by = (np.round(T[worst, :3, 3] * 1e3, 3) for T in (seen, own))
     raise file.error(
         field,
         f"these lengths and the URDF disagree about the flange: URDF says {at} mm, the lengths {by} mm",
-        "where its zero, senses of axes or frames are others, inverse_kinematics: spherical_wrist reads them off the URDF",
+        "if its zero, directions of axes or frames differ, inverse_kinematics: spherical_wrist reads them off the URDF",
     )
 
 
@@ -250,7 +250,9 @@ def _read_off(file: RobotFile, chain: Chain, T_base_stand: Array) -> PlacedWrist
     redundant = file.data.get("redundant_joint")
     if (redundant is None) == (kind == "seven_axes"):
         field = "inverse_kinematics" if redundant is None else "redundant_joint"
-        raise file.error(field, "an arm of seven axes, and no other, names its redundant_joint", "one of its joints")
+        raise file.error(
+            field, "an arm of seven axes, and only such an arm, names its redundant_joint", "one of its joints"
+        )
     try:
         if kind == "offset_wrist":
             return read_offset_wrist(chain)
@@ -265,7 +267,7 @@ def _read_off(file: RobotFile, chain: Chain, T_base_stand: Array) -> PlacedWrist
 
 
 def _placement(model: pin.Model, link: str) -> Array:
-    """Where a link is (4, 4) against what carries it: a joint, or the base."""
+    """Pose (4, 4) of a link in the frame that carries it: a joint's, or the base's."""
     return np.asarray(model.frames[link_frame(model, link)].placement.homogeneous)
 
 
@@ -310,7 +312,7 @@ def _fold(
 
 
 def bodies_with_tip(robot: Robot, free: Collection[str], held: Mapping[str, float]) -> tuple[Body, ...]:
-    """Bodies that do not move against a robot's tip while its free joints do, in the tip's frame; held ones: as `chain_of`."""
+    """Bodies fixed relative to a robot's tip whatever its free joints do, in the tip's frame; held: see `chain_of`."""
     model, data = robot.model, robot.model.createData()
     q = np.array([held.get(name, 0.0) for name in robot.joint_names])
     pin.forwardKinematics(model, data, q)
@@ -324,20 +326,20 @@ def bodies_with_tip(robot: Robot, free: Collection[str], held: Mapping[str, floa
 
 
 def joint_axis(model: pin.Model, i: int) -> Array:
-    """What a joint does in its own frame (6), as in Chain, read off the joint's own motion subspace."""
+    """A joint's motion in its own frame (6), as in Chain, read off its motion subspace."""
     q = pin.neutral(model)
     data = model.createData()
-    whole = np.reshape(pin.computeJointJacobians(model, data, q), (6, model.nv))  # of one joint it comes flat
+    whole = np.reshape(pin.computeJointJacobians(model, data, q), (6, model.nv))  # for a single joint, it comes flat
     J = whole[:, model.joints[i].idx_v]
     R = data.oMi[i].rotation.T
-    # at rest a joint that slides moves all places alike; of one that turns the world's origin is of no concern
+    # a sliding joint moves all points alike; for a turning one, the velocity at the world's origin does not matter
     return np.concatenate([R @ J[3:], np.zeros(3) if J[3:].any() else R @ J[:3]])
 
 
 def joint_axes(model: pin.Model, i: int) -> Array:
-    """Axes (k, 6) at and behind a joint (0: the base), in its frame: a point of each and its direction.
+    """Axes (k, 6) at and behind a joint (0: the base), in its frame: a point on each and its direction.
 
-    First that of the joint itself, then those of the joints that hang on it.
+    First the axis of the joint itself, then those of the joints that hang on it.
     """
     found = [] if i == 0 else [np.concatenate([np.zeros(3), _direction(model, i)])]
     for j in range(1, model.njoints):

@@ -1,4 +1,4 @@
-"""robots/*.yaml, or the user's own: what a URDF cannot say, each value with its place in the file."""
+"""Read robots/*.yaml, or the user's own: what a URDF cannot say, each value with its place in the file."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from planner.base.errors import InputError, nearest_name
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 from planner.problem.yaml_file import Keys, ValueSources, read_yaml_file
 
-LENGTHS = tuple(f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4"))  # of a spherical wrist's arm
-MOST_PIECES = 12  # of a link
+LENGTHS = tuple(f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4"))  # of an arm with a spherical wrist
+MOST_PIECES = 12  # into which a link's mesh is cut
 COLOUR = "#[0-9a-fA-F]{6}"
 KINDS = ("spherical_wrist", "offset_wrist", "skew_wrist", "seven_axes")
 
-# What a controller may be measured to do: the field of its model, least and greatest value in the file, and the unit in SI.
+# Measured behaviour of a controller: the field of its model, least and greatest value in the file, and the unit in SI.
 CONTROLLER = {
     "lag_ms": ("lag", 0.0, 300.0, 1e-3),
     "zone_share": ("depth", 0.0, 2.0, 1.0),
@@ -33,7 +33,7 @@ CONTROLLER = {
 
 @dataclass(frozen=True)
 class RobotKey:
-    """A key of a robot's file: what it is, its default in words (none where it is required), and an example."""
+    """A key of a robot's file: what it is, its default in words (empty if it is required), and an example."""
 
     text: str
     example: str
@@ -103,29 +103,33 @@ KEYS = {
         _RANGES,
     ),
     "without": RobotKey(
-        "links of the URDF that are left out, with all that hangs on them but the arm", "[hand]", "none", _NAMES
+        "links of the URDF that are left out, with all that hangs on them except the arm", "[hand]", "none", _NAMES
     ),
     "pieces": RobotKey(
-        f"by link, how many convex pieces its meshes are cut into, {MOST_PIECES} at most; a bent link fills its bend otherwise",
+        f"by link, how many convex pieces its meshes are cut into, {MOST_PIECES} at most; "
+        "otherwise a bent link's hull fills its bend",
         "{link_3: 4}",
         "one hull for each mesh",
         {"type": "object", "additionalProperties": {"type": "integer", "minimum": 1, "maximum": MOST_PIECES}},
     ),
     "may_touch": RobotKey(
-        "pairs of links that may be in touch, besides those beside each other: the real ones never are, or always",
+        "pairs of links that may touch, besides neighbours: the real links never touch, or always do",
         "[[link_4, link_6]]",
         "none",
         {"type": "array", "items": {**_NAMES, "minItems": 2, "maxItems": 2}},
     ),
     "colours": RobotKey(
-        "colours of links, or of their shapes, by name, in pictures; `others` of all that are not named, `caps` of covers on "
-        "joints",
+        "colours of links, or of their shapes, by name, in pictures; `others` for all that are not named, `caps` for "
+        "covers on joints",
         '{others: "#f47a20", link_6: "#6b7178"}',
         "those of the URDF’s materials and meshes, or grey",
         {"type": "object", "additionalProperties": {"type": "string", "pattern": f"^{COLOUR}$"}},
     ),
     "assumed": RobotKey(
-        "what of this file nobody has published; listings and the checks say so", "[jerk_rad_s3]", "nothing", _NAMES
+        "keys of this file whose values nobody has published; listings and the checks say so",
+        "[jerk_rad_s3]",
+        "nothing",
+        _NAMES,
     ),
     "measured": RobotKey(
         "which of this file's limits were measured, and from what; listings say so",
@@ -148,8 +152,8 @@ KEYS = {
         },
     ),
     "spherical_wrist": RobotKey(
-        "of an arm whose last three axes meet, counted from upper arm upright and forearm level: its seven lengths [mm], as "
-        "Brandstötter et al. name them (OPW), held against the URDF; in place of inverse_kinematics",
+        "for an arm whose last three axes meet, its joints counted from upper arm upright and forearm level: its seven "
+        "lengths [mm], named as by Brandstötter et al. (OPW), checked against the URDF; in place of inverse_kinematics",
         "{a1_mm: 70, a2_mm: 0, b_mm: 0, c1_mm: 352, c2_mm: 360, c3_mm: 380, c4_mm: 65}",
         "none",
         {
@@ -160,14 +164,14 @@ KEYS = {
         },
     ),
     "inverse_kinematics": RobotKey(
-        f"what an arm is like, whose lengths, zero and senses of axes are read off the URDF: {', '.join(KINDS)}; a robot without "
-        "this and spherical_wrist only holds parts",
+        f"the kind of arm, whose lengths, zero and senses of axes are read off the URDF: {', '.join(KINDS)}; a robot "
+        "with neither this nor spherical_wrist only holds parts or carries an arm",
         "offset_wrist",
         "none",
         {"enum": list(KINDS)},
     ),
     "redundant_joint": RobotKey(
-        "of seven_axes: the joint whose angle is chosen, and for which the other six follow", "joint_3", "none", _TEXT
+        "for seven_axes: the joint whose angle is chosen, so that the other six follow", "joint_3", "none", _TEXT
     ),
 }
 REQUIRED = tuple(name for name, key in KEYS.items() if key.required)
@@ -176,14 +180,14 @@ OPTIONAL = tuple(name for name, key in KEYS.items() if not key.required)
 
 @dataclass(frozen=True)
 class RobotFile:
-    """A robot's YAML file, read: its values, and where they stand."""
+    """A robot's YAML file as read: its values, and their places in it."""
 
     path: Path
     data: Mapping[str, Any]
     source: ValueSources
 
     def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
-        """Return the error of a field, with file and line."""
+        """Return the error for a field, with file and line."""
         keys: Keys = (field,)
         line = self.source.line(keys) if field in self.data else None
         return InputError(reason, file=self.path, line=line, field=field, hint=hint)
@@ -192,32 +196,32 @@ class RobotFile:
         """The text of a field."""
         value = self.data[field]
         if not isinstance(value, str) or not value.strip():
-            raise self.error(field, "must be a text", "quote it if it looks like a number")
+            raise self.error(field, "must be text", "quote it if it looks like a number")
         return value
 
     def texts(self, field: str) -> tuple[str, ...]:
-        """The list of texts of a field; none if it is left out."""
+        """The list of texts of a field; empty if it is left out."""
         value = self.data.get(field, ())
         if not isinstance(value, tuple) or not all(isinstance(item, str) for item in value):
             raise self.error(field, "must be a list of names", "for example [hand]")
         return value
 
     def known(self, field: str, kind: str, name: object, names: Collection[str]) -> None:
-        """Raise InputError if `name` is none of the `names`, which are those of a `kind`."""
+        """Raise InputError unless `name` is one of the `names` of a `kind`."""
         if name not in names:
             near = nearest_name(str(name), names)
             hint = f"did you mean {near}?" if near else f"{kind}s: {', '.join(names)}"
             raise self.error(field, f"no {kind} {name!r}", hint)
 
     def of_these(self, field: str, kind: str, names: Collection[str]) -> tuple[str, ...]:
-        """The list of a field, all of them among the `names` of a `kind`; none if it is left out."""
+        """The list of a field, all of it among the `names` of a `kind`; empty if it is left out."""
         given = self.texts(field)
         for name in given:
             self.known(field, kind, name, names)
         return given
 
     def pieces(self, links: Collection[str]) -> dict[str, int]:
-        """Numbers of convex pieces by link; none where it is left out."""
+        """Numbers of convex pieces by link; empty if the key is left out."""
         given = self.data.get("pieces", {})
         if not isinstance(given, dict):
             raise self.error("pieces", "must be numbers by link", "for example {link_3: 4}")
@@ -228,7 +232,7 @@ class RobotFile:
         return given
 
     def colours(self, names: Collection[str]) -> dict[str, str]:
-        """Colours by name, one of these: links, their shapes, `others` and `caps`; none where it is left out."""
+        """Colours by name of link or shape, `others` or `caps`; empty if the key is left out."""
         given = self.data.get("colours", {})
         if not isinstance(given, dict):
             raise self.error("colours", "must be colours by link or shape", 'for example {others: "#f47a20"}')
@@ -239,7 +243,7 @@ class RobotFile:
         return given
 
     def controller(self) -> tuple[tuple[str, float], ...]:
-        """What the controller was measured to do: fields of its model and values [SI]; none where it is left out."""
+        """The controller's measured behaviour: fields of its model and values [SI]; empty if the key is left out."""
         given = self.data.get("controller", {})
         if not isinstance(given, dict):
             raise self.error("controller", "must be values by name", "for example {lag_ms: 19.7}")
@@ -255,7 +259,7 @@ class RobotFile:
         return tuple(out)
 
     def link_pairs(self, links: Collection[str]) -> tuple[tuple[str, str], ...]:
-        """Pairs of links that may be in touch; none where it is left out."""
+        """Pairs of links that may touch; empty if the key is left out."""
         given = self.data.get("may_touch", ())
         if not isinstance(given, tuple) or not all(isinstance(pair, tuple) and len(pair) == 2 for pair in given):
             raise self.error("may_touch", "must be pairs of links", "for example [[link_4, link_6]]")
@@ -272,7 +276,7 @@ class RobotFile:
         return np.array([float(v) for v in value])
 
     def ranges(self, joints: Collection[str], sliding: Collection[str]) -> dict[str, tuple[float, float]]:
-        """Ranges by joint that stand in place of the URDF's [rad, or m of those of the joints that are sliding]."""
+        """Ranges by joint that replace the URDF's [rad, or m for the sliding joints]."""
         turning = [name for name in joints if name not in sliding]
         angles = self._pairs("range_deg", "angle", "{joint_6: [-400, 400]}", turning)
         places = self._pairs("range_mm", "place", "{rail: [0, 3000]}", sliding)
@@ -293,10 +297,10 @@ class RobotFile:
         return given
 
     def urdf(self) -> Path:
-        """Where the robot's URDF is: beside its YAML file, or `path` in the shared files of an installed `package`."""
+        """Path of the robot's URDF: relative to its YAML file, or `path` in an installed `package`'s shared files."""
         urdf = self.data["urdf"]
         if isinstance(urdf, str):
-            path, hint = self.path.parent / urdf, "counted from the robot's file"
+            path, hint = self.path.parent / urdf, "relative to the robot's file"
         elif isinstance(urdf, Mapping) and set(urdf) == {"package", "path"}:
             package = str(urdf["package"])
             try:
@@ -304,9 +308,9 @@ class RobotFile:
             except metadata.PackageNotFoundError:
                 hint = f"pip install {package}"
                 raise self.error("urdf", f"package {package} is not installed", hint) from None
-            # wheels made by cmeel keep what would be below /usr in a folder of their own, and have no module to import
+            # wheels made by cmeel keep what belongs under /usr in a folder of their own, and have no module to import
             path = Path(str(found.locate_file("cmeel.prefix"))) / "share" / package / str(urdf["path"])
-            hint = f"counted from share/{package} of {package} {found.version}"
+            hint = f"relative to share/{package} of {package} {found.version}"
         else:
             raise self.error("urdf", "must be a file name, or a package and a path", "for example arm.urdf")
         if not path.is_file():
@@ -315,7 +319,7 @@ class RobotFile:
 
 
 def read_robot_file(path: Path) -> RobotFile:
-    """Read a robot's YAML file. Raises InputError for unknown and missing keys, and for what is no YAML."""
+    """Read a robot's YAML file. Raises InputError for unknown and missing keys, and for invalid YAML."""
     data, source = read_yaml_file(path, "a robot has name, urdf and tip; see robots/irb140.yaml")
     file = RobotFile(path, data, source)
     for key in data:
@@ -330,5 +334,5 @@ def read_robot_file(path: Path) -> RobotFile:
 
 
 def is_number(value: object) -> bool:
-    """Whether a value is a number, and no yes or no."""
+    """Whether a value is a number, and not a boolean."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

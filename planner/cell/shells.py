@@ -1,11 +1,11 @@
-"""What a link looks like that is only known by a handful of simple solids: one casting with rounded edges (metres).
+"""Draw a link that is known only as a handful of simple solids as one casting with rounded edges (metres).
 
-The solids of a link melt into one another, as castings do; a box that a joint's axis crosses near its end becomes a lever
-that is round about that axis; the free end of a box along the next axis, and of a cylinder about its own, is drawn in.
-So the shell stays inside the solids but for the fillets between them, and what is seen is what is checked.
+The solids of a link blend into one another, as in castings; a box that a joint's axis crosses near its end becomes a
+lever, round about that axis; the free end of a box along the next axis tapers, and so does that of a cylinder about its
+own. So the shell stays inside the solids except for the fillets between them, and the picture shows what is checked.
 
-The surface is where a distance function is zero, found by surface nets: S. F. Gibson, Constrained elastic surface nets,
-MICCAI 1998.
+The surface is the zero level of a distance function, found by surface nets: S. F. Gibson, Constrained elastic surface
+nets, MICCAI 1998.
 """
 
 from __future__ import annotations
@@ -18,21 +18,19 @@ from planner.base.arrays import Array, Ints
 from planner.cell.solids import Body, Box, Capsule, Frustum
 from planner.cell.surfaces import TriangleSurface, rgb, rounding
 
-CELLS, MOST_CELLS = 26, 60  # along the longest side of a link; the more, the thinner its thinnest solid is
-THIN = 0.8  # of half that thickness: a cell at most
+CELLS, MOST_CELLS = 26, 60  # grid cells along a link's longest side, at least and, for thin solids, at most
+THIN = 0.8  # × half that thickness: the largest cell
 MOST_CELL = 20e-3  # m
-FILLET = 0.35  # of the thinnest solid's half thickness: how far solids melt into one another
+FILLET = 0.35  # × the thinnest solid's half thickness: the fillet between solids
 MOST_FILLET = 24e-3  # m
-END = 0.78  # width of a tapered link's free end, of its other end's
-NEAR_END = 1.5  # of a box's half width: an axis so near to its end makes that end round
-LONG = 1.35  # a box that is so many times longer than it is thick is a lever or a limb
-ALONG = 0.98  # cosine: so nearly along an axis
-COVER, LEAST_COVER = 0.62, 18e-3  # radius of a joint's cover, of what it is on; m: smaller ones are left out
-COVER_RISE, COVER_DEPTH = (
-    (3e-3, 2e-3),
-    6e-3,
-)  # m: how far it stands out on the joint that carries the link, and on the next; how far it reaches in
-_STEP = 1e-4  # m, of differences
+END = 0.78  # × the width of a tapered link's other end: the width of its free end
+NEAR_END = 1.5  # × a box's half width: an axis this near to an end makes it round
+LONG = 1.35  # a box this many times longer than wide, or 1.6 times as many than thick, becomes a lever or a limb
+ALONG = 0.98  # least cosine between directions that count as parallel
+COVER, LEAST_COVER = 0.62, 18e-3  # × its solid's radius: a joint cover's radius; m: smaller ones are left out
+# m: how far a cover stands out, on the joint that carries the link and on the next; how far it reaches in
+COVER_RISE, COVER_DEPTH = (3e-3, 2e-3), 6e-3
+_STEP = 1e-4  # m, of finite differences
 
 Distance = Callable[[Array], Array]
 
@@ -40,8 +38,8 @@ Distance = Callable[[Array], Array]
 def casting(bodies: Sequence[Body], axes: Array) -> TriangleSurface:
     """Shell of a link's solids: boxes, cylinders, capsules and balls.
 
-    axes (k, 6)  of the joints that carry the link and that it carries: a point of each and its direction, in the frame of
-                 the bodies
+    axes (k, 6)  of the joints that carry the link and that it carries: a point on each and its direction, in the frame
+                 of the bodies
     """
     parts = [_in_frame(_shaped(body, axes), body.T_frame_solid) for body in bodies]
     low, high = _bounds(bodies)
@@ -58,7 +56,7 @@ def casting(bodies: Sequence[Body], axes: Array) -> TriangleSurface:
 
     vertices, triangles = _net(whole, low - 2.0 * step, high + 2.0 * step, step)
     normals = _slope(whole, vertices)
-    for _ in range(3):  # onto the surface, which the net only passes nearby
+    for _ in range(3):  # project onto the surface, which the net only approximates
         vertices = vertices - np.clip(whole(vertices), -step, step)[:, None] * normals
         normals = _slope(whole, vertices)
     nearest = np.argmin([part(vertices) for part in parts], axis=0)
@@ -67,7 +65,7 @@ def casting(bodies: Sequence[Body], axes: Array) -> TriangleSurface:
 
 
 def covers(bodies: Sequence[Body], axes: Array, colour: str) -> list[Body]:
-    """Covers on both ends of what is round about an axis that crosses the link: flat discs, in the frame of the bodies."""
+    """Covers on both ends of solids that are round about an axis across the link: flat discs, in the bodies' frame."""
     found: list[Body] = []
     shaped = [_in_frame(_shaped(body, axes), body.T_frame_solid) for body in bodies]
     for body in bodies:
@@ -105,18 +103,18 @@ def covers(bodies: Sequence[Body], axes: Array, colour: str) -> list[Body]:
                 disc = Frustum(radius, 0.94 * radius, COVER_DEPTH + rise)
                 T_cover = T @ place
                 top = T_cover[:3, 3] + (COVER_DEPTH + rise) * T_cover[:3, 2]
-                if min(float(distance(top[None])[0]) for distance in shaped) > 0.0:  # nothing else stands there
+                if min(float(distance(top[None])[0]) for distance in shaped) > 0.0:  # nothing else is in the way
                     found.append(Body("cover", disc, T_cover, body.link, colour=colour))
     return found
 
 
 def castable(bodies: Sequence[Body]) -> bool:
-    """Whether there is a shell for such solids."""
+    """Whether a shell can be made for these bodies."""
     return bool(bodies) and all(isinstance(body.solid, Box | Frustum | Capsule) for body in bodies)
 
 
 # ----------------------------------------------------------------------------------------------------
-# Distances of solids, shaped.
+# Distance functions of the shaped solids.
 
 
 def _shaped(body: Body, axes: Array) -> Distance:
@@ -138,7 +136,7 @@ def _capsule(p: Array, radius: float, length: float) -> Array:
 
 
 def _drum(solid: Frustum, points: Array, ways: Array) -> Distance:
-    """A cylinder; one about the joint that carries the link is drawn in towards its end away from that joint's body."""
+    """A cylinder; one about the axis of the joint that carries the link tapers towards its end away from that joint."""
     about = abs(ways[0, 2]) > ALONG and float(np.hypot(*points[0, :2])) < 0.1 * solid.bottom if len(ways) else False
     edge = 2.0 * rounding(solid)
     middle = 0.5 * solid.height
@@ -158,7 +156,7 @@ def _drum(solid: Frustum, points: Array, ways: Array) -> Distance:
 
 
 def _lever(size: Array, points: Array, ways: Array) -> Distance:
-    """A box: round about the axes that cross it near its ends, drawn in along the axis that it lies along."""
+    """A box: round about the axes that cross it near its ends, or else tapered along an axis that runs lengthwise."""
     half = 0.5 * size
     long = int(np.argmax(half))
     rest = [k for k in range(3) if k != long]
@@ -187,7 +185,7 @@ def _lever(size: Array, points: Array, ways: Array) -> Distance:
 
 
 def _hubs(points: Array, ways: Array, half: Array, long: int, across: int) -> list[tuple[float, float]] | None:
-    """Where along a box the axes lie that cross it, with the radii about them; None if none does near an end."""
+    """Positions along a box of the axes that cross it, with the radii about them; None if none does near an end."""
     third = 3 - long - across
     found = []
     for point, way in zip(points, ways, strict=True):
@@ -205,7 +203,7 @@ def _hubs(points: Array, ways: Array, half: Array, long: int, across: int) -> li
 
 
 def _plate(half: Array, long: int, across: int, ends: list[tuple[float, float]]) -> Distance:
-    """What two circles of a plane enclose, as thick as the box."""
+    """The area that two circles in a plane enclose between them, as thick as the box."""
     (a, ra), (b, rb) = ends
     third = 3 - long - across
     edge = min(0.5 * float(half[across]), 0.5 * min(ra, rb))
@@ -225,13 +223,13 @@ def _rounded_box(p: Array, half: Array, edge: float) -> Array:
 
 
 def _rounded(a: Array, b: Array, edge: float) -> Array:
-    """Distance from where both a and b are below zero, the edge between them rounded."""
+    """Distance from the region where both a and b are below zero, the edge between them rounded."""
     a, b = a + edge, b + edge
     return np.asarray(np.hypot(np.maximum(a, 0.0), np.maximum(b, 0.0)) + np.minimum(np.maximum(a, b), 0.0) - edge)
 
 
 def _melted(a: Array, b: Array, fillet: float) -> Array:
-    """Distance from either, with a fillet between them: outside of both by a quarter of it at most."""
+    """Distance from the union of both, with a fillet between them: outside both by a quarter of it at most."""
     share = np.maximum(fillet - np.abs(a - b), 0.0) / fillet
     return np.asarray(np.minimum(a, b) - 0.25 * fillet * share**2)
 

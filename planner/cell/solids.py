@@ -1,4 +1,4 @@
-"""Simple solids: what the bodies of robots, tools and fixtures are made of (metres)."""
+"""Simple solids that make up the bodies of robots, tools and fixtures (metres)."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from scipy.spatial import ConvexHull, QhullError
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 
 BOX, FRUSTUM, CAPSULE, HULL = 0, 1, 2, 3  # numbers of the kinds in compiled kernels
-SIZES = 6  # numbers at most that say how large one is
-_FILLED = 1e-6  # of its hull's volume that a mesh may lack to be that hull
-_AROUND = 48  # corners of a circle that is drawn as triangles
+SIZES = 6  # numbers that describe a solid's size, at most
+_FILLED = 1e-6  # share of its hull's volume that a mesh may lack and still count as that hull
+_AROUND = 48  # corners of a circle drawn as triangles
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Frustum:
-    """A cylinder, a cone, or a cone cut off: along z from 0 to `height`, its radius from `bottom` to `top`."""
+    """A cylinder, cone or truncated cone: along z from 0 to `height`, its radius from `bottom` to `top`."""
 
     bottom: float
     top: float
@@ -36,7 +36,7 @@ class Frustum:
 
 @dataclass(frozen=True)
 class Capsule:
-    """All that is within `radius` of a line along z, `length` long and centred on the origin; length 0: a ball."""
+    """All points within `radius` of a segment along z, `length` long and centred on the origin; length 0: a ball."""
 
     radius: float
     length: float
@@ -62,7 +62,7 @@ class Hull(ReadOnlyArrays):
 
     @property
     def corners(self) -> Array:
-        """Those of the vertices (k, 3) that are corners of the hull."""
+        """The vertices (k, 3) that are corners of the hull."""
         return np.asarray(self.vertices[self._hull.vertices])
 
     @property
@@ -83,14 +83,14 @@ class Hull(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class Mesh(ReadOnlyArrays):
-    """Triangles as they are, hollows and all: vertices (n, 3), triangles (m, 3), counter-clockwise seen from outside."""
+    """Triangles unchanged, hollows and all: vertices (n, 3), triangles (m, 3), counter-clockwise seen from outside."""
 
     vertices: Array
     triangles: Ints
 
     @cached_property
     def filled(self) -> Hull | None:
-        """Its convex hull, if it fills that."""
+        """Its convex hull if the mesh fills it, otherwise None."""
         own = self.vertices[self.triangles]
         volume = float(np.einsum("ni,ni->", own[:, 0], np.cross(own[:, 1], own[:, 2]))) / 6.0
         hull = Hull(self.vertices)
@@ -109,11 +109,11 @@ Solid = ConvexSolid | Mesh
 class Body:
     """A named solid and its pose T_frame_solid (4, 4) in the frame that carries it.
 
-    link    of a robot: the URDF's link that it belongs to
-    beside  names of links of the same robot with which it may be in touch
-    colour, trim  in pictures, such as #f47a20: its own, and of covers on joints; empty where its robot's file names none
-    below   of what carries an arm: held still against the arm's foot, which does not stand on it, so that it is no neighbour
-            of the arm's first link
+    link    for a body of a robot: the URDF's link that it belongs to
+    beside  names of links of the same robot that it may touch
+    colour, trim  in pictures, such as #f47a20: its own, that of covers on joints; empty if its robot's file names none
+    below   for a body of a carrier: fixed relative to the arm's foot, which does not stand on it, so that it is no
+            neighbour of the arm's first link
     """
 
     name: str
@@ -128,9 +128,9 @@ class Body:
 
 @dataclass(frozen=True)
 class Look:
-    """A mesh that a link shows: its file, its scale along x, y and z, and its pose in the frame that carries it.
+    """A link's visual mesh: its file, its scale along x, y and z, and its pose in the frame that carries it.
 
-    colour  of all of it; empty where the file's own colours count
+    colour  of the whole mesh; empty to use the file's own colours
     """
 
     link: str
@@ -141,7 +141,7 @@ class Look:
 
 
 def in_touch(a: Body, b: Body) -> bool:
-    """Whether two bodies of one robot may be in touch, as its file says."""
+    """Whether two bodies of one robot may touch, according to its file."""
     return b.link in a.beside
 
 
@@ -165,7 +165,7 @@ class Packed(ReadOnlyArrays):
 
 
 def packed(bodies: Sequence[Body]) -> Packed:
-    """Bodies of convex solids in one frame as numbers. Raises TypeError for a mesh."""
+    """Convex bodies in one frame as numbers. Raises TypeError for a mesh."""
     b = len(bodies)
     kind, size = np.zeros(b, dtype=np.int64), np.zeros((b, SIZES))
     T_solid_frame, centre, reach = np.zeros((b, 4, 4)), np.zeros((b, 3)), np.zeros(b)
@@ -201,7 +201,8 @@ def packed(bodies: Sequence[Body]) -> Packed:
 def triangles_of(solid: Solid) -> tuple[Array, Ints]:
     """Vertices (n, 3) and triangles (m, 3) of a solid's surface, counter-clockwise seen from outside.
 
-    What is round becomes corners on it: inside by 0.2 per cent of the radius at most.
+    Round surfaces become facets with their corners on the surface; between these they are inside it by at most 0.2 % of
+    the radius around an axis, and 1.1 % on the ends of capsules.
     """
     if isinstance(solid, Mesh):
         return solid.vertices, solid.triangles

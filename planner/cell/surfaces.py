@@ -1,4 +1,4 @@
-"""Surfaces to be looked at: triangles with normals and colours, made of what robots consist of (metres).
+"""Surfaces for pictures: triangles with normals and colours, made from the solids and meshes of robots (metres).
 
 Nothing is planned or checked with them: see `planner.cell.solids` for that.
 """
@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.cell.solids import Box, Capsule, ConvexSolid, Frustum, Mesh, Solid, triangles_of
 
-CREASE = np.cos(np.radians(38.0))  # facets that meet at more than this stay apart
-_ROUND = 0.28  # of the least half side or radius: how far edges are rounded
+CREASE = np.cos(np.radians(38.0))  # cosine of 38°: where facets meet at a greater angle, their edge stays sharp
+_ROUND = 0.28  # × the smallest half side or radius: how far edges are rounded
 _MOST_ROUND = 12e-3  # m
 _STEPS = 2  # facets of a rounded edge
 _AROUND = 32  # corners of a circle
@@ -36,7 +36,7 @@ class TriangleSurface(ReadOnlyArrays):
     colours: NDArray[np.uint8]
 
     def moved(self, T: Array) -> TriangleSurface:
-        """The same at a rigid transform (4, 4)."""
+        """The same surface, moved by a rigid transform (4, 4)."""
         turn = T[:3, :3]
         return TriangleSurface(self.vertices @ turn.T + T[:3, 3], self.normals @ turn.T, self.triangles, self.colours)
 
@@ -58,7 +58,7 @@ def joined(surfaces: Sequence[TriangleSurface]) -> TriangleSurface:
 
 
 def solid_surface(solid: Solid, colour: str) -> TriangleSurface:
-    """A solid's surface, the edges of boxes and cylinders a little rounded: never outside the solid."""
+    """A solid's surface, with the edges of boxes and cylinders slightly rounded: never outside the solid."""
     if isinstance(solid, Box):
         vertices, normals, triangles = _rounded_box(np.asarray(solid.size))
     elif isinstance(solid, Frustum):
@@ -84,7 +84,7 @@ def rounding(solid: ConvexSolid | Mesh) -> float:
 
 
 def creased(vertices: Array, triangles: Ints, colours: NDArray[np.uint8]) -> TriangleSurface:
-    """Vertices (n, 3) and triangles (m, 3) with normals that are smooth but where facets meet at an angle.
+    """The surface of vertices (n, 3) and triangles (m, 3), its normals smooth except where facets meet at an angle.
 
     colours (m, 3): of the triangles
     """
@@ -94,7 +94,7 @@ def creased(vertices: Array, triangles: Ints, colours: NDArray[np.uint8]) -> Tri
     there = area > 0.0
     triangles, across, colours = triangles[there], across[there], colours[there]
     facing = across / area[there, None]
-    # every corner takes the mean of those facets around its vertex that face nearly as its own does
+    # each corner takes the mean normal of the facets around its vertex that face nearly the same way as its own
     vertex, facet = triangles.ravel(), np.repeat(np.arange(len(triangles)), 3)
     order = np.argsort(vertex, kind="stable")
     first = np.searchsorted(vertex[order], np.arange(len(vertices) + 1))
@@ -107,17 +107,18 @@ def creased(vertices: Array, triangles: Ints, colours: NDArray[np.uint8]) -> Tri
     np.add.at(normal, mine[alike], across[other[alike]])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     colour = np.repeat(colours, 3, axis=0)
-    # corners that agree are one again
+    # corners that agree are merged again
     keys = np.column_stack([vertex, np.round(normal * 64.0).astype(np.int64), colour])
     _, kept, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     return TriangleSurface(vertices[vertex[kept]], normal[kept], index.reshape(-1, 3), colour[kept])
 
 
 def decimated(vertices: Array, triangles: Ints, step: float) -> tuple[Array, Ints, Ints]:
-    """Vertices (n, 3) and triangles (m, 3) on a grid of cells `step` wide [m]: of each cell's vertices the middlemost stays.
+    """Thin out vertices (n, 3) and triangles (m, 3): each cell of a grid `step` wide [m] keeps its middlemost vertex.
 
-    So do those of surfaces that face another way, or have no vertex in common with it: thin walls keep both their sides.
-    Returns vertices, triangles, and for each of these the index of one that it was. Errors are below a cell's diagonal.
+    Surfaces in the same cell that face another way, or belong to another piece, keep one of their own, so that thin
+    walls keep both sides.
+    Returns vertices, triangles, and for each triangle the index of the one it was. Errors are below a cell's diagonal.
     """
     corners = vertices[triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -145,7 +146,7 @@ def decimated(vertices: Array, triangles: Ints, step: float) -> tuple[Array, Int
 
 
 def _rounded_box(size: Array) -> tuple[Array, Array, Ints]:
-    """A box about the origin with rounded edges: a ball that is cut into eight parts and drawn apart."""
+    """A box about the origin with rounded edges: a ball cut into eight parts that are pulled apart."""
     radius = min(_ROUND * 0.5 * float(size.min()), _MOST_ROUND)
     side = np.concatenate([np.linspace(-1.0, 0.0, _STEPS + 1), np.linspace(0.0, 1.0, _STEPS + 1)])
     half = np.repeat([-1.0, 1.0], _STEPS + 1)
@@ -174,7 +175,7 @@ def _rounded_box(size: Array) -> tuple[Array, Array, Ints]:
 
 
 def _rounded_profile(solid: Frustum) -> Array:
-    """Radius and height (n, 2) of a cylinder's or cone's outline, its edges rounded, from the bottom's middle to the top's."""
+    """Radius and height (n, 2) of a cylinder's or cone's outline, its edges rounded, from bottom to top centre."""
     radius = rounding(solid)
     turn = np.linspace(0.0, 0.5 * np.pi, _STEPS + 1)
     low = np.column_stack([solid.bottom - radius + radius * np.sin(turn), radius - radius * np.cos(turn)])

@@ -1,4 +1,4 @@
-"""A URDF file, read with the lines of its elements -> a Pinocchio model of the joints from its base to the tip."""
+"""Read a URDF file, with its elements' lines, into a Pinocchio model of the joints from its base to the tip."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from planner.base.errors import InputError, nearest_name
 
 XACRO = "run xacro on it first, or name it .xacro and give it to beadwise robots add"
 LARGEST = URDF_BYTES.most
-FARTHEST = 20.0  # m: what is farther or larger has its length in millimetres
+FARTHEST = 20.0  # m: lengths beyond this are mistakes, such as millimetres
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
 _MOVES = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 Ranges = Mapping[str, tuple[float, float]]
@@ -32,11 +32,11 @@ class Urdf:
     lines: Mapping[ET.Element, int]
 
     def error(self, element: ET.Element, field: str, reason: str, hint: str | None = None) -> InputError:
-        """Return the error of an element, with file and line; `field` says whose: `link hand`, `joint wrist`."""
+        """Return the error for an element, with file and line; `field` names it, such as `link hand`, `joint wrist`."""
         return InputError(reason, file=self.path, line=self.lines[element], field=field, hint=hint)
 
     def numbers(self, element: ET.Element, key: str, field: str, count: int, default: str | None = None) -> list[float]:
-        """The finite numbers (count) of an attribute. Raises InputError where there are others, or none."""
+        """The finite numbers (count) of an attribute. Raises InputError if it holds anything else, or is missing."""
         text = element.get(key, default)
         if text is None:
             raise self.error(element, field, f"<{element.tag}> has no {key}")
@@ -55,7 +55,7 @@ class Urdf:
 
 
 def read_urdf(path: Path) -> Urdf:
-    """Read a URDF file; nothing that it names is opened. Raises InputError for what is no tree of links and joints."""
+    """Read a URDF file, but none of those it names. Raises InputError for anything but a tree of links and joints."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -66,7 +66,7 @@ def read_urdf(path: Path) -> Urdf:
 
 
 def parse_urdf(data: bytes, path: Path) -> Urdf:
-    """Read a URDF from its text, as if it stood in a file that need not be there yet."""
+    """Read a URDF from its text, as if from a file, which need not exist yet."""
     parser, builder = expat.ParserCreate(), ET.TreeBuilder()
     lines: dict[ET.Element, int] = {}
 
@@ -74,7 +74,7 @@ def parse_urdf(data: bytes, path: Path) -> Urdf:
         lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
 
     def declared(*_: object) -> None:
-        raise InputError("a DOCTYPE is not read", file=path, line=parser.CurrentLineNumber, hint="leave it out")
+        raise InputError("a DOCTYPE is not allowed", file=path, line=parser.CurrentLineNumber, hint="leave it out")
 
     parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, declared
     parser.EndElementHandler = builder.end
@@ -91,7 +91,7 @@ def parse_urdf(data: bytes, path: Path) -> Urdf:
     urdf = Urdf(path, root, lines)
     for element in root.iter():
         if element.tag.startswith("xacro:"):
-            raise urdf.error(element, element.tag, "is a macro, this file is no URDF yet", XACRO)
+            raise urdf.error(element, element.tag, "is a macro: this file is not a URDF yet", XACRO)
     for tag in ("link", "joint"):
         seen: set[str] = set()
         for element in root.findall(tag):
@@ -99,7 +99,7 @@ def parse_urdf(data: bytes, path: Path) -> Urdf:
             if not name:
                 raise urdf.error(element, tag, "has no name")
             if name in seen:
-                raise urdf.error(element, f"{tag} {name}", "stands in the file twice")
+                raise urdf.error(element, f"{tag} {name}", "appears twice in the file")
             seen.add(name)
     links = urdf.links()
     if not links:
@@ -135,17 +135,15 @@ def _check_tree(urdf: Urdf) -> None:
                 raise urdf.error(joint, name, f"no link {link!r}", hint)
         child = _end(joint, "child")
         if child in above:
-            raise urdf.error(joint, name, f"link {child} hangs on another joint as well", "links form a tree")
+            raise urdf.error(joint, name, f"link {child} is the child of another joint as well", "links form a tree")
         above[child] = joint
     bases = [link for link in links if link not in above]
     if len(bases) > 1:
-        raise urdf.error(
-            links[bases[1]], f"link {bases[1]}", f"hangs on nothing, as {bases[0]} does", "links form a tree"
-        )
+        raise urdf.error(links[bases[1]], f"link {bases[1]}", f"has no parent, like {bases[0]}", "links form a tree")
     reached = hanging_on(urdf, bases)
     for link, element in links.items():
         if link not in reached:
-            raise urdf.error(element, f"link {link}", "hangs on itself", "links form a tree")
+            raise urdf.error(element, f"link {link}", "is its own ancestor", "links form a tree")
 
 
 def moving_joints(urdf: Urdf, tip: str) -> list[ET.Element]:
@@ -154,33 +152,31 @@ def moving_joints(urdf: Urdf, tip: str) -> list[ET.Element]:
 
 
 def names_of(joints: Iterable[ET.Element]) -> list[str]:
-    """Names of joints; of one without a name it is empty."""
+    """Names of joints; empty for a joint without one."""
     return [joint.get("name", "") for joint in joints]
 
 
 def moved_by(urdf: Urdf, link: str) -> str:
-    """Name of the joint that moves a link and nothing before it; empty where none does."""
+    """Name of the last moving joint on the way to a link; empty if there is none."""
     return next(reversed(names_of(moving_joints(urdf, link))), "")
 
 
 def first_links(urdf: Urdf, tip: str) -> tuple[str, str]:
-    """Names of the link in which the first joint that moves on the way to another one turns, or slides, and of that which it
-    moves."""
+    """Names of the parent and the child link of the first moving joint on the way to the tip."""
     joint = moving_joints(urdf, tip)[0]
     return _end(joint, "parent"), _end(joint, "child")
 
 
 def sliding_joints(urdf: Urdf, tip: str) -> list[str]:
-    """Names of those that slide."""
+    """Names of the sliding joints from the base to the tip, base first."""
     return names_of(joint for joint in moving_joints(urdf, tip) if joint.get("type") == "prismatic")
 
 
 def model_of(urdf: Urdf, tip: str, ranges: Ranges, speeds_given: bool) -> pin.Model:
     """Pinocchio's model of the joints from base to tip; others, such as a gripper's, are held at zero.
 
-    ranges [rad, or m of joints that slide], by joint, stand in place of the URDF's, and make a joint without an end one
-    that has ends; speeds_given: somebody else says how fast the joints move. Raises InputError for joints that are not
-    known.
+    ranges [rad, or m for sliding joints], by joint, replace the URDF's, and give ends to a joint that has none;
+    speeds_given: the joints' speeds come from elsewhere. Raises InputError for joints of an unknown type.
     """
     own = ET.Element("robot", name=urdf.root.get("name", "robot"))
     for name in urdf.links():
@@ -206,27 +202,27 @@ def model_of(urdf: Urdf, tip: str, ranges: Ranges, speeds_given: bool) -> pin.Mo
     try:
         return pin.buildModelFromXML(ET.tostring(own, encoding="unicode"))
     except ValueError as error:
-        raise InputError("is no URDF that can be read", file=urdf.path, hint=str(error)) from None
+        raise InputError("is not a readable URDF", file=urdf.path, hint=str(error)) from None
 
 
 def link_frame(model: pin.Model, link: str) -> int:
-    """Index of a link's frame in a model, where joints may bear the same name."""
+    """Index of a link's frame in a model, whose joints may have the same name."""
     return int(model.getFrameId(link, pin.FrameType.BODY))
 
 
 def origin_of(urdf: Urdf, element: ET.Element, field: str) -> tuple[list[float], list[float]]:
-    """Where a joint or a shape stands: xyz [m] and the angles rpy [rad] about fixed axes, each zero if not given."""
+    """Pose of a joint or a shape: xyz [m] and the angles rpy [rad] about fixed axes, each zero if not given."""
     origin = element.find("origin")
     if origin is None:
         return [0.0] * 3, [0.0] * 3
     xyz, rpy = (urdf.numbers(origin, key, field, 3, "0 0 0") for key in ("xyz", "rpy"))
     if (away := max(map(abs, xyz))) > FARTHEST:
-        raise urdf.error(origin, field, f"its origin is {away:g} m away", "origins are metres")
+        raise urdf.error(origin, field, f"its origin is {away:g} m away", "origins are in metres")
     return xyz, rpy
 
 
 def hanging_on(urdf: Urdf, links: Collection[str]) -> set[str]:
-    """Links, and all that hang on them."""
+    """Links, and all links that hang on them."""
     found = set(links)
     grown = True
     while grown:
@@ -253,14 +249,14 @@ def _axis(urdf: Urdf, joint: ET.Element, field: str) -> list[float]:
 def _limit(
     urdf: Urdf, joint: ET.Element, field: str, given: tuple[float, float] | None, speeds_given: bool
 ) -> tuple[float, float, float]:
-    """Least and greatest angle [rad] and greatest speed [rad/s] of a joint that moves; metres of one that slides."""
+    """Least and greatest angle [rad] and greatest speed [rad/s] of a moving joint; in metres for one that slides."""
     kind = joint.get("type", "")
     name = joint.get("name")
     if kind not in _MOVES:
         hint = "only revolute, continuous and prismatic joints can stand between base and tip"
         raise urdf.error(joint, field, f"is {kind}", hint)
     if joint.find("mimic") is not None:
-        raise urdf.error(joint, field, "follows another joint", "between base and tip each joint has its own motor")
+        raise urdf.error(joint, field, "follows another joint", "each joint between base and tip needs its own motor")
     limit = joint.find("limit")
     own_range = f"give range_deg: {{{name}: [-360, 360]}}, or what its cables allow, in the robot's file"
     if kind == "prismatic":

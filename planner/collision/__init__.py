@@ -1,1 +1,1 @@
-"""What is in the way: bodies of robots, tools and fixtures, part and print, and how near a posture brings them."""
+"""Obstacles: bodies of robots, tools and fixtures, part and print, and how close a posture brings them."""

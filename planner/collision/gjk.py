@@ -1,7 +1,7 @@
-"""Compiled: the distance of two convex solids, and where they are nearest (Gilbert, Johnson and Keerthi, 1988).
+"""Compiled: the distance between two convex solids, and where they are nearest (Gilbert, Johnson and Keerthi, 1988).
 
-Each round gives a plane between the solids and so a lower bound: solids that are far enough are told at the first
-plane that says so, mostly the one that was good at the posture before. Round solids are a line or a circle and a radius.
+Each round gives a plane between the solids and thus a lower bound: the search ends at the first plane that shows them
+to be far enough apart, mostly that of the previous posture. Round solids are a line or a circle and a radius.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from planner.base.compiled import inner_njit
 from planner.cell.solids import BOX, CAPSULE, FRUSTUM
 
 _ROUNDS = 40
-_EXACT = 1e-4  # share of a distance by which it may be told too small
+_EXACT = 1e-4  # share by which a distance may be reported too small
 _FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])  # corners of a simplex opposite to each corner
-_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
-_TOUCHING = 1e-7  # m: nearer solids overlap
+_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled again
+_TOUCHING = 1e-7  # m: solids closer than this count as overlapping
 
 
 @inner_njit
@@ -56,7 +56,7 @@ def _support(kind, size, span, vertices, pose, b, dx, dy, dz):
 
 @inner_njit
 def _on_triangle(S, a, b, c):
-    """Shares of the corners in the point of a triangle (rows of S) that is nearest to the origin: Ericson, 5.1.5."""
+    """Barycentric coordinates of the point of a triangle (rows of S) nearest to the origin: Ericson, 5.1.5."""
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
         ab, ac = S[b, k] - S[a, k], S[c, k] - S[a, k]
@@ -103,8 +103,8 @@ def _beyond(S, a, b, c, d):
 
 @inner_njit
 def _nearest(S, n):
-    """Shares of the corners (rows 0 to n of S) in the point of a simplex that is nearest to the origin, and whether the
-    simplex encloses it."""
+    """Barycentric coordinates of the point of a simplex (the first n rows of S) nearest to the origin, and whether the
+    simplex encloses the origin."""
     if n == 1:
         return 1.0, 0.0, 0.0, 0.0, False
     if n == 2:
@@ -143,11 +143,11 @@ def _nearest(S, n):
 
 @inner_njit(inline="never")
 def solids_distance(kind, size, span, vertices, pose, a, b, enough, little, way, k, S):
-    """Distance [m] of bodies a and b, exact between `little` and `enough`: beyond these only a bound, on the right
-    side of them. Overlapping solids: 0 less their radii.
+    """Distance [m] between bodies a and b, exact from `little` to `enough`; outside these only a bound, on the correct
+    side. Overlapping solids: minus their radii.
 
     kind, size, span, vertices   of all bodies, see `Table`; pose (b, 4, 4) of the solids in the world
-    way (p, 3)  row k: on entry a direction that may part them, from b to a; on exit the one that does, as long as
+    way (p, 3)  row k: on entry a direction that may separate them, from b to a; on exit the one that does, as long as
                 their distance, but 0 where they overlap
     S (4, 9)    on exit its first row holds, from column 3 on, the points of a and of b that are nearest
     """

@@ -16,16 +16,16 @@ from planner.collision.table import workspace_for
 # ----------------------------------------------------------------------------------------------------
 # Compiled: how much clearance a posture has left, between which bodies, and how that changes with the joints.
 #
-# Margin is the word for a distance less what is needed there: below 0 clearance lacks. Frames are numbered 0 for the
-# world, then one for each joint, after its turn: the arm's, then the holder's. Loops take arrays from names of their
-# own: to count who refers to a slice, or to a field of a tuple, costs more than the arithmetic.
+# A margin is a distance less what is required there: below 0, clearance is missing. Frame 0 is the world, then comes
+# one for each joint, after its motion: the arm's, then the holder's. Loops use local names for arrays: counting
+# references to a slice, or to a field of a tuple, costs more than the arithmetic.
 
 NONE = -np.inf
-# Flags and numbers handed on to other kernels: plain ones are types of their own, for each of which all is compiled anew.
+# Flags and numbers handed on to other kernels: plain ones are other types, for which all would be compiled again.
 YES, NO, FIRST = np.bool_(True), np.bool_(False), np.int64(0)
 MIDDLE, TIP, NORMAL, PLACE = 0, 1, 2, 3  # rows of `Workspace.few`
-_DEEPEST = 128  # intervals that wait at once: twice the halvings of as many postures as an index can count
-SUNK = 20e-3  # m: of points that lie deeper in a body any will do; to find the deepest takes a hundred times as long
+_DEEPEST = 128  # most intervals pending at once: twice the halvings of as many postures as an index can count
+SUNK = 20e-3  # m: of points deeper than this in a body, any will do; finding the deepest takes a hundred times as long
 
 
 @inner_njit(inline="never")
@@ -47,7 +47,7 @@ def _frames(placements, axes, na, q, row, frames, lines) -> None:
             b3 = a0 * placements[j, 0, 3] + a1 * placements[j, 1, 3] + a2 * placements[j, 2, 3] + frames[f, i, 3]
             lines[j, i] = b3
             lines[j, 3 + i] = b0 * x + b1 * y + b2 * z
-            if slides:  # the way that it goes by a metre, and nothing that it turns about
+            if slides:  # its direction of motion, and no axis of rotation
                 lines[j, i] = b0 * axes[j, 3] + b1 * axes[j, 4] + b2 * axes[j, 5]
                 b3 += way * lines[j, i]
             frames[j + 1, i, 0] = b0 * (t * x * x + c) + b1 * (t * x * y + s * z) + b2 * (t * x * z - s * y)
@@ -75,7 +75,7 @@ def put(table, room, q, row) -> None:
 
 @inner_njit(inline="never")
 def place_solid(frames, frame, T_frame_solid, pose, known, b) -> None:
-    """The pose of a body's solid in the world, if it is not known."""
+    """Compute the pose of a body's solid in the world, if it is not known yet."""
     if known[b]:
         return
     known[b] = True
@@ -90,7 +90,7 @@ def place_solid(frames, frame, T_frame_solid, pose, known, b) -> None:
 
 @inner_njit(inline="never")
 def outside(kind, size, pose, middle, b, other):
-    """A bound of how far outside of body b the middle of another one lies [m]."""
+    """A lower bound on how far outside body b the middle of another one is [m]."""
     if kind[b] == HULL:
         return NONE
     x, y, z = middle[other, 0] - pose[b, 0, 3], middle[other, 1] - pose[b, 1, 3], middle[other, 2] - pose[b, 2, 3]
@@ -110,7 +110,7 @@ def outside(kind, size, pose, middle, b, other):
 
 @njit(inline="always")
 def part_by_middles(middle, a, b, way, k, S) -> None:
-    """After `solids_distance` of a pair k: solids that overlap are apart by their middles."""
+    """After `solids_distance` of a pair k: solids that overlap are separated along the line of their middles."""
     if way[k, 0] == 0.0 and way[k, 1] == 0.0 and way[k, 2] == 0.0:
         for m in range(3):
             way[k, m] = middle[a, m] - middle[b, m]
@@ -120,7 +120,7 @@ def part_by_middles(middle, a, b, way, k, S) -> None:
 @inner_njit(inline="never")
 def over_pairs(table, room, first, last, enough, stop):
     """The least margin of pairs first .. last, if below `enough` [m], and which has it, or -1: exact, or with `stop`
-    the first one below, told no better than that."""
+    the first one below, known no better than that."""
     pair, needed, ball, frame, T_frame_solid = table.pair, table.needed, table.ball, table.frame, table.T_frame_solid
     kind, size, span, vertices = table.kind, table.size, table.span, table.vertices
     middle, frames, pose, known = room.middle, room.frames, room.pose, room.known
@@ -172,7 +172,7 @@ def _into_tree(frames, tree_frame, T_frame_tree, middle, tip, last, few, b, t) -
 
 @inner_njit(inline="never")
 def _solid_from_tree(frames, tree_frame, T_frame_tree, pose, b, t, out) -> None:
-    """Fill out (4, 4) with what takes points of a tree's frame into a body's solid."""
+    """Fill out (4, 4) with the transform from a tree's frame to that of a body's solid."""
     f = tree_frame[t]
     for j in range(4):
         x, y, z = 0.0, 0.0, 0.0
@@ -190,9 +190,9 @@ def _solid_from_tree(frames, tree_frame, T_frame_tree, pose, b, t, out) -> None:
 
 @inner_njit(inline="never")
 def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
-    """The same of bodies looked at by trees, whose points are there before `now`; and the point, or -1.
+    """The same for looks, each a body and a tree, with points that are there before `now`; and the point, or -1.
 
-    on_part, off_part: whether head and part, and whether all else is wanted
+    on_part, off_part: whether looks of head and part are wanted, and whether all others are
     """
     look, keep, slack, graze = table.look, table.keep, table.slack, table.graze
     head_on_part = table.head_on_part
@@ -243,11 +243,11 @@ def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
 def first_lacking(table, room, q, row, now, more, head_on_part):
     """The first pair that lacks clearance at a row of q, or -1: pairs of bodies, then from p on those with trees.
 
-    `more` [m] is asked for between bodies besides; head and part are left out where `head_on_part` is False.
+    `more` [m] is required between bodies in addition; head and part are left out if `head_on_part` is False.
     """
     p = len(table.pair)
     put(table, room, q, row)
-    # what hit at the posture before mostly hits again
+    # what hit at the previous posture mostly hits again
     before = room.last[0]
     if before < p and over_pairs(table, room, before, before + 1, more, YES)[1] >= 0:
         return before
@@ -263,7 +263,7 @@ def first_lacking(table, room, q, row, now, more, head_on_part):
 def head_lacking(table, room, q, row, now):
     """Which pair of head and part lacks clearance at a row of q, as in `first_lacking`, or -1.
 
-    Only the nozzle's pose in the part decides that.
+    This depends only on the nozzle's pose in the part.
     """
     put(table, room, q, row)
     _, which, _ = over_looks(table, room, FIRST, len(table.look), now, 0.0, YES, YES, NO)
@@ -274,7 +274,7 @@ def head_lacking(table, room, q, row, now):
 def least_margin(table, room, q, row, now, enough, more):
     """The least margin at a row of q, if below `enough` [m], and which pair has it, as in `first_lacking`, or -1.
 
-    `more` [m] is asked for between bodies besides.
+    `more` [m] is required between bodies in addition.
     """
     put(table, room, q, row)
     p = len(table.pair)
@@ -285,20 +285,20 @@ def least_margin(table, room, q, row, now, enough, more):
 
 
 # ----------------------------------------------------------------------------------------------------
-# Compiled: what need not be looked at along a motion, since it was far enough a moment ago.
+# Compiled: which pairs need no check along a motion, since they were far enough apart a moment ago.
 #
 # A margin changes by no more than the two things have moved.
 
-_AHEAD = 30e-3  # m: margins are found that far above what is asked for, which then lasts for some samples
-_QUICK = 0.3  # of that: what moves farther from one sample to the next is not looked at ahead
+_AHEAD = 30e-3  # m: margins are found up to this far above what is required, which then lasts for some samples
+_QUICK = 0.3  # share of that: pairs that move farther from one sample to the next are not checked ahead
 
 
 class ToSpare(NamedTuple):
-    """What need not be looked at yet, from posture to posture; one for each thread.
+    """What need not be checked yet, from posture to posture; one for each thread.
 
-    spare (p + k) [m]          what margins of pairs, then of looks, have to spare: a lower bound
-    frames (1 + nj, 3, 4)      as they were at the posture before
-    moved (b), shifted (t) [m] how far bodies and trees have moved since then at most
+    spare (p + k) [m]          lower bounds on the margins of pairs, then of looks
+    frames (1 + nj, 3, 4)      as they were at the previous posture
+    moved (b), shifted (t) [m] the farthest that bodies and trees may have moved since then
     """
 
     spare: Array
@@ -317,7 +317,7 @@ def room_to_spare(table):
 
 @inner_njit(inline="never")
 def _moved(frames, old, frame, x, y, z, reach):
-    """How far a place of a ball around a point of a frame has moved at most [m]: its middle, and the turn's chord."""
+    """Upper bound on how far a ball around a point of a frame has moved [m]: its centre, and the turn's chord."""
     square, chord = 0.0, 0.0
     for i in range(3):
         way = frames[frame, i, 3] - old[frame, i, 3]
@@ -362,7 +362,7 @@ def let_go(table, room, past) -> None:
 @inner_njit(inline="never")
 def spared_pairs(table, room, past, begin, end, enough, stop):
     """The least margin of pairs begin .. end, exact if below `enough` [m], and which has it, or -1; with `stop` the
-    first one below. What has enough to spare is passed over, and what the others have is kept."""
+    first one below. Pairs with enough to spare are skipped, and what the others have is stored."""
     spare, moved = past.spare, past.moved
     pair, needed, ball, frame, T_frame_solid = table.pair, table.needed, table.ball, table.frame, table.T_frame_solid
     kind, size, span, vertices = table.kind, table.size, table.span, table.vertices
@@ -396,9 +396,9 @@ def spared_pairs(table, room, past, begin, end, enough, stop):
 
 @njit(inline="always")
 def spared_looks(table, room, past, begin, end, now, late, enough, stop):
-    """The same of looks, and the point, or -1; without `stop` more looks may have to be asked for, from the next one on.
+    """The same for looks, and the point, or -1; without `stop`, the caller may have to continue from the next look on.
 
-    late: a time up to which what looks have to spare is to hold, whatever is printed until then.
+    late: a time up to which the stored bounds of looks have to hold, whatever is printed until then.
     """
     p, spare, moved, shifted = len(table.pair), past.spare, past.moved, past.shifted
     for k in range(begin, end):
@@ -443,7 +443,7 @@ def least_margins(table, q, now, enough, more, margin, which) -> None:
 
 @njit
 def lacking_at(table, q, now, lacking) -> None:
-    """Which pairs, and then looks, lack clearance at postures q (n, nj) at a time of the print, into lacking (n, p + k)."""
+    """Fill lacking (n, p + k): which pairs, then looks, lack clearance at postures q (n, nj) at a time of the print."""
     room, p = workspace_for(table), len(table.pair)
     for i in range(len(q)):
         put(table, room, q, i)
@@ -457,8 +457,9 @@ def lacking_at(table, q, now, lacking) -> None:
 def hit_along(table, q, gone, now, allowed, enough):
     """The first pair found whose margin falls below `allowed` [m] along postures q (n, nj), or -1.
 
-    gone (n): by how much any margin may have changed since the first [m]. Between two postures that are clear by more than half
-    of that nothing is looked at; margins above `enough` are not told apart.
+    gone (n): by how much any margin may have changed since the first posture [m]. Nothing is checked between two
+    postures whose margins beyond `allowed` add up to at least the change between them; above `enough`, margins are not
+    distinguished.
     """
     room = workspace_for(table)
     last = len(q) - 1
@@ -490,13 +491,12 @@ def hit_along(table, q, gone, now, allowed, enough):
 # ----------------------------------------------------------------------------------------------------
 # Compiled: how the least margins of a posture change with its joints.
 
-_STEP = 1e-6  # m, of the differences that give the direction of a solid's distance
+_STEP = 1e-6  # m, of the finite differences that give the direction of a solid's distance
 
 
 @inner_njit
 def _add_slope(lines, na, frame, normal, at, sign, slope, row, col) -> None:
-    """Add to slope how fast a place of the world, three numbers, that moves with a frame goes along a normal, three
-    numbers too, times a sign."""
+    """Add to slope, times a sign, how fast a place that moves with a frame goes along a normal (three numbers each)."""
     n0, n1, n2 = normal
     x, y, z = at
     for j in range(0 if frame <= na else na, frame):
@@ -525,7 +525,7 @@ def _pair_slope(table, room, k, slope, row, col) -> None:
 
 @inner_njit(inline="never")
 def _look_slope(table, room, k, point, slope, row, col) -> None:
-    """The same of a body and a point of a tree, after `over_looks` found it; the tip stays on the part."""
+    """The same for a body and a point of a tree, after `over_looks` found it; the tip is taken to stay on the part."""
     slope[row, col] = 0.0
     b, t, na = table.look[k, 0], table.look[k, 1], table.arm[0]
     p, f = table.first[t, 0] + point, table.tree_frame[t]
@@ -567,7 +567,7 @@ def nearest_margins(table, q, now, wanted, enough, enough_of_points, margin, slo
 
     enough_of_points [m] is the same for pairs with trees, and no more than `enough`.
 
-    margin (n, m), slope (n, m, nj) by the joints, which (n, m): pairs as in `first_lacking`. What is left over has the
+    margin (n, m), slope (n, m, nj) by the joints, which (n, m): pairs as in `first_lacking`. Unused entries have the
     margin `enough`, no slope, and -1; rows that are not wanted stay as they are.
     """
     room = workspace_for(table)
@@ -583,7 +583,7 @@ def nearest_margins(table, q, now, wanted, enough, enough_of_points, margin, slo
         put(table, room, q, i)
         let_go(table, room, past)
         worst, k = FIRST, FIRST
-        while k < p:  # from each pair that is near to the next one
+        while k < p:  # from one near pair to the next
             found, k = spared_pairs(table, room, past, k, p, margin[i, worst], YES)
             if k < 0:
                 break

@@ -1,8 +1,8 @@
-"""Points in a tree of balls, and how near convex solids come to them: obstacles that grow in the order of print.
+"""Points in a tree of balls, and how close convex solids come to them: obstacles that grow in print order.
 
-A point stands for the ball of its own radius about it. It is there from its time on, so that one tree holds a part
-at all stages of its print. Distances to solids are signed (negative inside) and change by no more than a point moves,
-so that a ball of points is passed over as soon as its middle is far enough.
+A point stands for a ball of its own radius. It is there from its time on, so one tree represents a part at all stages
+of its print. Distances to solids are signed (negative inside) and change by no more than a point moves, so a ball of
+points is skipped as soon as its centre is far enough away.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.compiled import inner_njit, njit
 from planner.cell.solids import BOX, CAPSULE, FRUSTUM
 
-_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
-_LEAF = 8  # points of a leaf
-_DEEP = 128  # nodes that wait at once: twice the depth of a tree of as many points as an index can count
+_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled again
+_LEAF = 8  # points of a leaf, at most
+_DEEP = 128  # most nodes pending at once: twice the depth of a tree of as many points as an index can count
 FROM_THE_START = -np.inf  # the time of what is there before the print
 
 
 class TreeArrays(NamedTuple):
-    """A `PointTree` as compiled kernels take it: its fields but `number`, with their shapes and units."""
+    """A `PointTree` as compiled kernels take it: its fields except `number`, with their shapes and units."""
 
     points: Array
     radius: Array
@@ -45,10 +45,10 @@ class SolidNumbers(NamedTuple):
 
 
 class TipRule(NamedTuple):
-    """What is asked of a point at distance r [m] from the nozzle's tip: min(clearance, slope * r - slack) [m], and of one
-    that is there from the start no less than -graze, its ball left out of account.
+    """Clearance required of a point at distance r [m] from the nozzle's tip: min(clearance, slope * r - slack) [m].
 
-    To ask for the clearance everywhere, let the slope be 0 and the slack -clearance.
+    A point that is there from the start must also be at least -graze away, its ball not counted. To require the
+    clearance everywhere, set slope to 0 and slack to -clearance.
     """
 
     clearance: float
@@ -58,7 +58,7 @@ class TipRule(NamedTuple):
 
 
 class SearchRoom(NamedTuple):
-    """Room for the nodes that wait in a search, and the least values that their points may have [m]."""
+    """Scratch for the pending nodes of a search, and lower bounds on their points' values [m]."""
 
     nodes: Ints
     lows: Array
@@ -85,7 +85,7 @@ class PointTree(ReadOnlyArrays):
 
     @property
     def arrays(self) -> TreeArrays:
-        """What kernels look at."""
+        """The tree as kernels take it."""
         return TreeArrays(
             self.points, self.radius, self.time, self.centre, self.reach, self.since, self.left, self.right
         )
@@ -110,7 +110,7 @@ def point_tree(points: Array, radius: Array | float = 0.0, time: Array | float =
 
 @njit
 def _build(points, radius, time, order, centre, reach, since, left, right):
-    """Fill the nodes and sort `order`; returns the number of nodes. Halved across the longest side of the points' box."""
+    """Fill the nodes and sort `order`; returns the number of nodes. Each is halved across its longest side."""
     n = order.size
     todo = [(0, 0, n)]
     count = 1
@@ -146,7 +146,7 @@ def _build(points, radius, time, order, centre, reach, since, left, right):
 
 @inner_njit
 def _halve(points, axis, order, a, b, middle):
-    """Sort order[a:b] so far that no point before `middle` lies beyond any from there on, along an axis (quickselect)."""
+    """Quickselect: sort order[a:b] until no point before `middle` is beyond any from there on, along an axis."""
     low, high = a, b - 1
     while low < high:
         pivot = points[order[(low + high) // 2], axis]
@@ -170,7 +170,7 @@ def _halve(points, axis, order, a, b, middle):
 
 @inner_njit(inline="never")
 def solid_distance(kind, size, planes, x, y, z):
-    """Signed distance [m] of a point in a solid's own frame from it (see `Packed`); of a hull it is a lower bound."""
+    """Signed distance [m] from a solid to a point in the solid's frame (see `Packed`); a lower bound for hulls."""
     if kind == BOX:
         dx, dy, dz = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
         ox, oy, oz = max(dx, 0.0), max(dy, 0.0), max(dz, 0.0)
@@ -202,7 +202,7 @@ def solid_distance(kind, size, planes, x, y, z):
 
 @inner_njit
 def point_value(tree, i, solid, T_solid_tree, tip, rule):
-    """The value of a point, by its place in the tree's order, that `nearest_point` looks for the least of."""
+    """The value of a point, given by its index in the tree's order, that `nearest_point` minimises."""
     points = tree.points
     away, d = _between(points, i, tip), _apart(points, i, solid.kind, solid.size, solid.planes, T_solid_tree)
     value = d - tree.radius[i] - min(rule.clearance, rule.slope * away - rule.slack)
@@ -215,13 +215,13 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room)
 
         distance(solid, ball of the point) - min(clearance, slope * (distance of the point from the tip) - slack)
 
-    and for those that are there from the start of distance(solid, point) + graze besides, if that is less than
-    `enough` [m]; and the point, in the tree's order, or -1. Where some are less than -deep, any of these.
+    and, for those that are there from the start, also of distance(solid, point) + graze; if that is less than `enough`
+    [m]. Also returns the point, in the tree's order, or -1. If there are values below -deep, any of these.
 
     tree: `TreeArrays`; solid: `SolidNumbers`; rule: `TipRule`; T_solid_tree (4, 4) takes points of the tree's frame
     into the solid's; tip (3) in the tree's frame [m]; room: `SearchRoom`.
     """
-    # into names of their own: to count who refers to a field costs more than the arithmetic
+    # local names: counting references to a field costs more than the arithmetic
     points, radius, time, since = tree.points, tree.radius, tree.time, tree.since
     centre, reach, left, right = tree.centre, tree.reach, tree.left, tree.right
     kind, size, planes = solid.kind, solid.size, solid.planes
@@ -260,7 +260,7 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room)
                 continue
             nodes[waiting], lows[waiting] = child, low
             middle = d - min(clearance, slope * away - slack)
-            # the one whose middle is nearer, or deeper, comes first: it is put on top
+            # the child whose centre is nearer, or deeper, is visited first: it is put on top
             if waiting > first and before < middle:
                 nodes[first], nodes[waiting] = nodes[waiting], nodes[first]
                 lows[first], lows[waiting] = lows[waiting], lows[first]
@@ -271,11 +271,11 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room)
 
 @njit
 def least_distances(tree, solid, T_solid_tree, now, exact, most, share, room, distance, point) -> None:
-    """Distances (n) of a solid at poses (n, 4, 4) from the points that are there before times now (n), `most` at most,
-    and the points (n) that have them, or -1; beyond `exact` any that is about as far.
+    """Distances (n) of a solid at poses (n, 4, 4) from the points that are there before times now (n), at most `most`,
+    and the points (n) that have them, or -1; beyond `exact`, any that is about as far.
 
-    A distance beyond `exact` may be too small, and is `share` of the true one or more: of many points that are about as
-    far, none is then looked for that is a little nearer. A search begins with the point that was nearest before.
+    A distance beyond `exact` may be too small, but is at least `share` of the true one: among many points that are
+    about as far, slightly nearer ones are not sought. A search begins with the previous nearest point.
 
     tree: `TreeArrays`; solid: `SolidNumbers`; room: `SearchRoom`.
     """
@@ -308,7 +308,7 @@ def least_distances(tree, solid, T_solid_tree, now, exact, most, share, room, di
             a, b = left[node], right[node]
             low_a = _apart(centre, a, kind, size, planes, T) - reach[a]
             low_b = _apart(centre, b, kind, size, planes, T) - reach[b]
-            if low_a > low_b:  # the nearer child comes first: it is put on top
+            if low_a > low_b:  # the nearer child is visited first: it is put on top
                 a, b, low_a, low_b = b, a, low_b, low_a
             nodes[waiting], lows[waiting] = b, low_b
             nodes[waiting + 1], lows[waiting + 1] = a, low_a
@@ -319,7 +319,7 @@ def least_distances(tree, solid, T_solid_tree, now, exact, most, share, room, di
 
 @njit(inline="always")
 def _apart(points, i, kind, size, planes, T):
-    """Signed distance of a point, i of (n, 3), from a solid in whose frame it is brought by T (4, 4)."""
+    """Signed distance of a point, i of (n, 3), from a solid; T (4, 4) takes points into the solid's frame."""
     x, y, z = points[i, 0], points[i, 1], points[i, 2]
     return solid_distance(
         kind, size, planes,
@@ -337,5 +337,5 @@ def _between(points, i, p):
 
 @njit
 def search_room():
-    """Room that a search needs; one for each thread."""
+    """Scratch for a search; one for each thread."""
     return SearchRoom(np.empty(_DEEP, dtype=np.int64), np.empty(_DEEP))

@@ -1,4 +1,4 @@
-"""What takes room of part and print, as points in print order: for the nozzle, and whatever else comes near."""
+"""The space that part and print take up, as points in print order: for the nozzle and whatever else comes near."""
 
 from __future__ import annotations
 
@@ -25,16 +25,19 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.contacts import BeadContacts, contacts
 
 # ----------------------------------------------------------------------------------------------------
-# Triangles that are far longer than they are wide, cut across: halving their longest sides makes ever thinner ones.
+# Triangles that are far longer than wide, cut across: halving their longest sides would make ever thinner ones.
 
-# Longest side over height. Halved down to a length, a triangle makes about as many as it is slender times as many as a good
-# one of its area: a cylinder of 10 m, drawn in facets 1.7 mm wide, would make thousands of millions of them.
+# Longest side over height. Halving a triangle down to a given length makes about this many times as many pieces as for
+# a well-shaped one of its area: a cylinder of 10 m, drawn in facets 1.7 mm wide, would make thousands of millions.
 SLENDER = 150.0
 
 
 def without_slivers(triangles: Array, longest: float) -> Array:
-    """The same surface (n, 3, 3) [m] with what is longer than `longest` and slender cut across, about as long as it is wide
-    or as `longest`; other triangles as they are, before it. Which side of them is the front is not kept."""
+    """The same surface (n, 3, 3) [m] with slender triangles longer than `longest` cut across.
+
+    Pieces are about as long as they are wide, or as `longest`. Other triangles come first, unchanged. Which side of the
+    pieces is the front is not preserved.
+    """
     sides = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
     k, n = np.argmax(sides, axis=1), np.arange(len(triangles))
     long = sides[n, k]
@@ -65,12 +68,12 @@ def _strips(tip: Array, foot: Array, top: Array, wide: Array) -> Array:
 # ----------------------------------------------------------------------------------------------------
 # Points all over a surface of triangles, compiled: small triangles first, then one of the corners that nearly coincide.
 
-_MIXES = 0x9E3779B97F4A7C15  # odd, and of 2**64 the golden ratio's part: keys in a row land far apart
+_MIXES = 0x9E3779B97F4A7C15  # odd, and 2**64 over the golden ratio: consecutive keys land far apart
 
 
 @njit
 def split(triangles, longest):
-    """The same surface (n, 3, 3) in triangles without a longer side: each is halved across its longest one."""
+    """The same surface (n, 3, 3) in triangles with no side over `longest`: each is halved across its longest side."""
     done, count = np.empty((max(4 * len(triangles), 16), 3, 3)), 0
     now = triangles
     while len(now):
@@ -117,8 +120,8 @@ def _copy(triangle, out):
 
 @njit
 def merged(triangles, size):
-    """One of the corners of triangles (n, 3, 3) in each cube of a grid with cubes of that size: points (m, 3), and the
-    distance (m) from which no place of the surface that is theirs is farther."""
+    """One of the corners of triangles (n, 3, 3) in each cube of a grid with cubes of that size: points (m, 3), and how
+    far (m) the surface that each stands for extends from it."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for i in range(len(triangles)):
         for k in range(3):
@@ -130,7 +133,7 @@ def merged(triangles, size):
     bits = 4
     while 1 << bits < 4 * len(triangles):
         bits += 1
-    place = np.full(1 << bits, -1, dtype=np.int32)  # a table of cubes by their keys: open addressing
+    place = np.full(1 << bits, -1, dtype=np.int32)  # a hash table of cubes by their keys: open addressing
     last = (1 << bits) - 1
     keys, kept = np.empty(3 * len(triangles), np.int64), np.empty((3 * len(triangles), 3))
     far, count = np.zeros(3 * len(triangles)), 0
@@ -169,7 +172,7 @@ def _apart(a, b):
 
 @inner_njit
 def _farthest(t):
-    """Distance that no place of a triangle (3, 3) exceeds from the nearest of its corners."""
+    """Greatest distance of any place of a triangle (3, 3) from its nearest corner."""
     a, b, c = _apart(t[0], t[1]), _apart(t[1], t[2]), _apart(t[2], t[0])
     a, b = min(a, b), max(a, b)
     b, c = min(b, c), max(b, c)
@@ -183,35 +186,35 @@ def _farthest(t):
 
 
 # ----------------------------------------------------------------------------------------------------
-# What takes room of part and print, as points in print order: for the nozzle, and whatever else comes near.
+# The space that part and print take up, as points in print order: for the nozzle and whatever else comes near.
 #
-# The substrate, what it stands on, and the beads as rows of balls. Time counts in beads: what is laid at share x of the
-# length of bead i is there from i + x on, and a travel that leads to bead i takes place at i.
+# The substrate, what it stands on, and the beads as rows of balls. Time is counted in beads: what is laid at a fraction
+# x of the length of bead i is there from i + x on, and travel to bead i takes place at i.
 
-# Nobody can keep a whole clearance where the nozzle lays a bead beside another: a point of part or print needs this share
-# of its distance from the nozzle's tip, less what the share is where nozzle's face and bead end.
+# No full clearance can be kept where the nozzle lays a bead next to another: a point of part or print requires this
+# share of its distance from the nozzle's tip, less that share of the distance at which the nozzle's face and bead end.
 TIP_SLOPE = 0.25
-# What is there from the start may be entered by no more than this share of the bead's height, however near it is to the tip,
-# as beads may: `verify.pressed`.
+# What is there from the start may be penetrated by at most this share of the bead's height, however near it is to the
+# tip, as beads may: `verify.pressed`.
 _GRAZED = 0.5
-CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is nearer
-_NEAR = 20e-3  # m from a bead: here surfaces are known finely
-_SOME = 1000  # samples of a bead, about, that tell what is near; and places between those that are farther apart
+CLEARANCE = 2e-3  # m: at this distance from the points, nothing between them is nearer
+_NEAR = 20e-3  # m from a bead, within which surfaces are sampled finely
+_SOME = 1000  # samples of a bead, roughly, that decide what is near, with places between them where they are far apart
 _FINE, _COARSE = 1.4e-3, 4e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
-_FINE_ENOUGH = 0.15e-3  # m that a bead bears, for which _FINE will do; near those that bear less it is less
-_MOST = 100_000  # points of either kind, about: more and they stand farther apart,
-_MOST_NEAR = 1_000_000  # near beads so many rather than balls that are larger than beads bear
-_SPREAD = 0.8  # of that side, from which no place is farther than from a corner: of any triangle, corners merged
-_BORNE = 0.75  # of what a bead bears, that balls may be large: a nozzle that leans has less room beneath it
-CORNER_AREA = 0.3  # of the square of that side, of the surface that falls to one corner
-MERGED = 0.125  # of that side: corners nearer to each other count as one
-_OVERHANG = 0.25  # of the height by which a bead may be wider than its balls
-_CAPSULE = 0.25  # diameters between the balls of a strut: their surface is at most 2 % of one beneath its own
-_CHORD = 2e-3  # m that a picture's triangles may leave the true surface
-_ON = 1e-5  # m: as near is on the surface
-_TURN = 3.0  # widths of a bead that it goes on at least until it lies on itself,
-_LIES = 0.5  # and widths that its line is aside of what it lies on, at most
-_BETWEEN = 0.51  # of the way from one place that lies on something to the next
+_FINE_ENOUGH = 0.15e-3  # m of ball radius that a bead must tolerate for _FINE to do; if it does not, sides are shorter
+_MOST = 100_000  # points of either kind, roughly: rather than more of them, there are larger gaps between them,
+_MOST_NEAR = 1_000_000  # but near beads up to this many, rather than balls that are larger than beads tolerate
+_SPREAD = 0.8  # share of that side: no place of a triangle is farther than this from a corner, corners being merged
+_BORNE = 0.75  # share of what a bead tolerates that balls may use: a nozzle that leans has less room beneath it
+CORNER_AREA = 0.3  # surface for each corner, as a share of the square of that side
+MERGED = 0.125  # share of that side: corners nearer to each other count as one
+_OVERHANG = 0.25  # share of the height by which a bead may be wider than its balls
+_CAPSULE = 0.25  # diameters between the balls of a strut: their surface is at most 2 % of one beneath the strut's
+_CHORD = 2e-3  # m that a picture's triangles may deviate from the true surface
+_ON = 1e-5  # m: this close counts as on the surface
+_TURN = 3.0  # widths of a bead that it runs, at least, before it can lie on itself,
+_LIES = 0.5  # and widths by which its line is offset from what it lies on, at most
+_BETWEEN = 0.51  # share of the spacing of contacts: places of a bead this close to a contact lie on something, too
 PART = "part"
 
 
@@ -248,13 +251,13 @@ class PrintBody(ReadOnlyArrays):
         return PrintBody(alone, self.first[begin : end + 1] - first, self.names[begin:end])
 
     def name_of(self, point: int) -> str:
-        """What a point belongs to, given in the tree's order."""
+        """What a point belongs to; it is given by its index in the tree's order."""
         number = self.tree.number[point]
         return self.names[int(np.searchsorted(self.first, number, side="right")) - 1]
 
 
 def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
-    """Part and print of a toolpath, with bodies that do not move in the part frame: see `standing`."""
+    """Part and print of a toolpath, with bodies fixed in the part frame: see `standing`."""
     beads = toolpath.beads
     corners = _substrate(toolpath)
     surfaces = [(body.name, _corners(body)) for body in bodies]
@@ -292,8 +295,10 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
 
 
 def _on_the_part(beads: Sequence[Bead]) -> list[Array]:
-    """Places (n, 3) one bead's height beneath each of the lowest beads, but where its line lies on an earlier one of them, or on
-    its own earlier turn, as a spiral's does: there is no part there, before that is laid."""
+    """Places (n, 3) of the part one bead's height beneath each of the lowest beads.
+
+    None where a bead's line lies on an earlier one, or on its own earlier turn, as a spiral's does: no part is there.
+    """
     lying, found = contacts(beads), []
     for i, bead in enumerate(beads):
         places, share, _ = _rows(bead, 1.0)
@@ -301,7 +306,7 @@ def _on_the_part(beads: Sequence[Bead]) -> list[Array]:
         turn = (lying.lower[own] != i) | (lying.at[own] - lying.below[own] > _TURN * float(bead.width.max()))
         own = own[
             turn & (lying.below[own] > 0.0)
-        ]  # a line that climbs steeply does not lie on itself, nor what is before its start
+        ]  # a line that climbs steeply does not lie on itself, nor on what is before its start
         own = own[_aside(bead, beads, lying, own) <= _LIES]
         if len(own):
             at, s = np.unique(lying.at[own]), share * bead.length
@@ -313,7 +318,7 @@ def _on_the_part(beads: Sequence[Bead]) -> list[Array]:
 
 
 def _aside(bead: Bead, beads: Sequence[Bead], lying: BeadContacts, own: Ints) -> Array:
-    """How far aside of what they lie on some places of a bead are (n), in widths of that."""
+    """Lateral offsets (n) of some places of a bead from what they lie on, in widths of the latter."""
     tip, up = (_along(bead.s, values, lying.at[own]) for values in (bead.points, bead.normals))
     below, width = np.empty_like(tip), np.empty(len(own))
     for j in np.unique(lying.lower[own]):
@@ -326,7 +331,7 @@ def _aside(bead: Bead, beads: Sequence[Bead], lying: BeadContacts, own: Ints) ->
 
 
 def standing(cell: Cell) -> tuple[Body, ...]:
-    """Bodies that do not move in the part frame, in it: the plate, what it carries, and all that stands if nothing turns."""
+    """Bodies fixed in the part frame, given in it: plate, what it carries, and fixtures if nothing moves the part."""
     found = list(cell.carried)
     if cell.holder_robot is not None:
         T_part_plate = rigid_inverse(cell.T_plate_part)
@@ -339,14 +344,14 @@ def standing(cell: Cell) -> tuple[Body, ...]:
 
 
 class TipRoom(NamedTuple):
-    """What is not asked for near the tip, of beads or of samples (n) [m]: `slack` and `graze` of a `TipRule`."""
+    """Clearance that is not required near the tip, for beads or samples (n) [m]: `slack` and `graze` of a `TipRule`."""
 
     slack: Array
     graze: Array
 
 
 def tip_room(problem: Problem, toolpath: Toolpath, nozzle: NozzleSpec | None = None) -> TipRoom:
-    """What is not asked for beside each bead (n beads): of this nozzle, or of the one that lays the bead."""
+    """Clearance that is not required next to each bead (n beads), of this nozzle or the one that lays the bead."""
     own = [nozzle or problem.nozzle_of(bead.material) for bead in toolpath.beads]
     sizes = [float((bead.height + bead.width).max()) for bead in toolpath.beads]
     slack = TIP_SLOPE * (np.array([nozzle_profile(each)[0][1] for each in own]) + np.array(sizes))
@@ -368,8 +373,8 @@ def _corners(body: Body) -> Array:
 
 
 def _sides(surfaces: Sequence[Array], near: Sequence[Flags], borne: float) -> tuple[float, float]:
-    """Longest sides of triangles near beads and elsewhere [m], for which the points do not become too many; near beads their
-    balls are no larger than is borne [m]."""
+    """Longest sides of triangles near beads and elsewhere [m], such that there are not too many points; near beads,
+    their balls are no larger than `borne` [m] if possible."""
     areas = np.zeros(2)
     for pieces, by in zip(surfaces, near, strict=True):
         area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
@@ -381,7 +386,7 @@ def _sides(surfaces: Sequence[Array], near: Sequence[Flags], borne: float) -> tu
 
 
 def _spread(pieces: Array, near: Flags, sides: tuple[float, float]) -> tuple[Array, Array]:
-    """Points (n, 3) all over triangles (m, 3, 3), and the distance (n) from which no place of the surface is farther."""
+    """Points (n, 3) all over triangles (m, 3, 3), and how far (n) the surface that each stands for extends from it."""
     points, spread = [np.zeros((0, 3))], [np.zeros(0)]
     for which, side in ((near, sides[0]), (~near, sides[1])):
         if which.any():
@@ -392,7 +397,7 @@ def _spread(pieces: Array, near: Flags, sides: tuple[float, float]) -> tuple[Arr
 
 
 def _tips(bead: Bead) -> Array:
-    """Places (n, 3) all along a bead, none of its line farther than _NEAR from the one before it."""
+    """Places (n, 3) all along a bead, each at most _NEAR after the one before."""
     some = np.append(bead.s[:: max(1, len(bead.s) // _SOME)], bead.length)
     step, share = subdivided(np.maximum(np.ceil(np.diff(some) / _NEAR), 1.0).astype(np.int64))
     return _along(bead.s, bead.points, some[step] + share * (some[step + 1] - some[step]))
@@ -405,7 +410,7 @@ def _is_near(pieces: Array, tips: cKDTree) -> Flags:
 
 
 def _onto(toolpath: Toolpath, points: Array) -> Array:
-    """Points (n, 3) of a picture's triangles, brought onto the surface where they are near it."""
+    """Points (n, 3) of a picture's triangles, moved onto the surface where they are near it."""
     surface = toolpath.surface.before(0)
     off = surface.signed_distance(points)
     near = np.flatnonzero((np.abs(off) <= _CHORD) & (np.abs(off) > _ON))
@@ -415,12 +420,12 @@ def _onto(toolpath: Toolpath, points: Array) -> Array:
 
 
 def _rows(bead: Bead, depth: float) -> tuple[Array, Array, Array]:
-    """Centres (n, 3), shares (n) of the bead's length and radii (n) of the balls that stand for a bead.
+    """Centres (n, 3), fractions (n) of the bead's length and radii (n) of the balls that stand for a bead.
 
     depth: of the centres below the nozzle's tip, in heights of the bead.
     """
     thick = np.minimum(bead.height, bead.width)
-    apart = _CAPSULE if bead.round else 1.0  # a strut's length shows, a bead's lies between its neighbours
+    apart = _CAPSULE if bead.round else 1.0  # a strut's sides are exposed, a bead lies between its neighbours
     count = max(2, int(np.ceil(bead.length / (apart * float(thick.min())))) + 1)
     s = np.linspace(0.0, bead.length, count)
     point, normal = (_along(bead.s, values, s) for values in (bead.points, bead.normals))

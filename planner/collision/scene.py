@@ -1,4 +1,4 @@
-"""Obstacles: every body that may touch in a cell, the distances kept there, and all of it as numbers for kernels."""
+"""Obstacles: every body that may touch in a cell, the distances to keep, and all of it as numbers for kernels."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ from planner.toolpath.bead import Toolpath
 # Points that stand for a surface: no solid that keeps its clearance from them comes nearer to the surface.
 
 _SPACING = 2e-3  # m, longest side of a triangle whose corners stand for it
-_MOST = 100_000  # points, about: larger surfaces have them farther apart
+_MOST = 100_000  # points, roughly: on larger surfaces they are farther apart
 
 
 def surface_points(triangles: Array, clearance: float) -> tuple[Array, Array]:
-    """Points (n, 3) all over triangles (m, 3, 3) [m], and the radii (n) that make up for what is between them.
+    """Points (n, 3) all over triangles (m, 3, 3) [m], and the radii (n) that make up for the gaps between them.
 
-    clearance: the least distance that is asked of them [m]; at less the surface may be nearer than they say.
+    clearance: the least distance required of them [m]; at less than that, the surface may be nearer than they suggest.
     """
     across = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
     side = max(_SPACING, float(np.sqrt(0.5 * across.sum() / (_MOST * CORNER_AREA))))
@@ -56,9 +56,9 @@ def surface_points(triangles: Array, clearance: float) -> tuple[Array, Array]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Bodies of a cell as obstacles: in which frame each moves, whose it is, and which may touch.
+# Bodies of a cell as obstacles: which frame each moves with, whose it is, and which may touch.
 
-_ON_AXIS = 1e-9  # m, and of a direction's length: so near to an axis is on it
+_ON_AXIS = 1e-9  # m, and share of a direction's length: this close to an axis counts as on it
 ARM, HEAD, HOLDER, FIXTURE, CARRIED = range(5)
 
 
@@ -73,7 +73,7 @@ class CollisionBody:
 
 
 def collision_bodies(cell: Cell) -> list[CollisionBody]:
-    """All bodies of a cell; meshes that are convex as hulls."""
+    """All bodies of a cell; convex meshes as hulls."""
     na, nh = len(cell.arm), len(cell.holder)
     out = []
     for i, (frame, body) in enumerate(_carried_by(cell.arm_robot, cell.arm, cell.T_world_base, {}, 0)):
@@ -120,7 +120,7 @@ def _filled(body: Body) -> Body:
 
 
 def may_touch(a: CollisionBody, b: CollisionBody, last: int) -> bool:
-    """Whether two things may touch that ought not to: what moves together, and links beside each other, do not count."""
+    """Whether two bodies have to be kept apart: not if they move together, or are neighbouring links."""
     if a.frame == b.frame:
         return False
     whose = {a.whose, b.whose}
@@ -140,29 +140,33 @@ def is_round(body: Body, T_frame_nozzle: Array) -> bool:
 
 
 def looked_at(a: CollisionBody, b: CollisionBody, part_frame: int) -> bool:
-    """Whether a pair is that of the head with what does not move in the part frame: it is among the part's points."""
+    """Whether a pair is the head and a body fixed in the part frame: the latter is among the part's points."""
     other = b if a.whose == HEAD else a
     return HEAD in (a.whose, b.whose) and other.frame == part_frame and other.whose != ARM
 
 
 # ----------------------------------------------------------------------------------------------------
-# Obstacles: everything that may touch in a cell, and the distances that are kept there.
+# Obstacles: everything that may touch in a cell, and the distances to keep.
 
 PART = "part or print"
-BLOCK = 1024  # postures along which what was far enough is remembered
-_FAR = 0.2  # m: greater margins are not told apart along a motion
+BLOCK = 1024  # postures along which pairs that were far enough apart are remembered
+_FAR = 0.2  # m: greater margins are not distinguished along a motion
 _SAME_MARGIN = 1e-4  # m: margins that differ by more are of different bodies
-_POSTURES = 64  # a pair of a robot's own bodies that is too near at all of so many belongs together
-_EVERYWHERE, _FINEST = 1024, 128  # postures of the holder at which its own bodies are looked at, at most; of one axis
+_POSTURES = 64  # postures: a pair of a robot's own bodies that is too close at all of them is built that way
+_EVERYWHERE, _FINEST = 1024, 128  # most postures of the holder at which its own bodies are checked, in all and per axis
 _OF_LOOKS = ("look", "keep", "head_on_part", "round_on_part")  # fields of the table with a row for each look
-_BUILT = 5e-3  # m: so near, however much is asked for; the default of collision.arm_mm
+_BUILT = 5e-3  # m that pairs keep which cannot be as far apart as required; the default of collision.arm_mm
 
 
 @dataclass(frozen=True)
 class Around:
-    """What obstacles are made of besides the cell: clearances of head and robots [m], what is not asked of the head near
-    the tip (n beads), and the points of part and print in the part frame, with what does not move there;
-    body: whose these points are; meshes: those of the cell that do not fill their hulls, with points in their own frames."""
+    """What obstacles are made of besides the cell.
+
+    nozzle, arm   clearances of head and robots [m]
+    room          what the head need not keep near the tip (n beads)
+    part, body    points of part, print and bodies fixed in the part frame, in this frame; what they belong to
+    meshes        those of the cell that do not fill their hulls, with points in their own frames
+    """
 
     nozzle: float
     arm: float
@@ -174,8 +178,11 @@ class Around:
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Everything that may touch: numbers for the kernels, names of its bodies and of its trees of points, and how far joints
-    (nj) that slide go from 0 at most [m]. head_counts: a search counts the head on part and print though the nozzle may lean."""
+    """Everything that may touch: numbers for the kernels, names of its bodies and of its trees of points.
+
+    slide_to (nj): how far from 0 sliding joints can go [m]
+    head_counts: whether a search checks the head against part and print even where the nozzle may lean
+    """
 
     table: Table
     bodies: tuple[str, ...]
@@ -191,22 +198,22 @@ class Obstacles:
 
     @property
     def but_head_on_part(self) -> Obstacles:
-        """Less the head's clearance from part and print, which tilt may give where the search cannot; itself where that counts."""
+        """Without the head's clearance from part and print, which tilt may provide; unchanged if `head_counts`."""
         return self if self.head_counts else self._looking(~self.table.head_on_part)
 
     @property
     def counting_head(self) -> Obstacles:
-        """The same for a search that keeps the head clear by itself, as if no tilt would."""
+        """The same for a search that keeps the head clear by itself, not relying on tilt."""
         return replace(self, head_counts=True)
 
     @cached_property
     def but_round_on_part(self) -> Obstacles:
-        """Less what is round about the nozzle's axis against part and print, which only tilt can change."""
+        """Without the clearance from part and print of bodies round about the nozzle's axis: only tilt changes it."""
         return self._looking(~self.table.round_on_part)
 
     @cached_property
     def but_arm(self) -> Obstacles:
-        """Only what no joint of the arm moves: what the holder's axes bring near to each other, whatever the arm does."""
+        """Only pairs that no joint of the arm moves: what the holder's axes bring close, whatever the arm does."""
         table, na = self.table, int(self.table.arm[0])
         still = (table.frame == 0) | (table.frame > na)
         looks = still[table.look[:, 0]] & ((table.tree_frame == 0) | (table.tree_frame > na))[table.look[:, 1]]
@@ -218,22 +225,22 @@ class Obstacles:
         return replace(self, table=_only(self.table, np.append(np.arange(pairs), pairs + np.flatnonzero(kept))))
 
     def of(self, cell: Cell) -> Obstacles:
-        """The same obstacles where the cell's holder or part stand elsewhere."""
+        """The same obstacles in a cell whose holder or part is elsewhere."""
         return self if self.around is None else replace(_assembled(cell, self.around), head_counts=self.head_counts)
 
     def for_nozzle(self, cell: Cell, own: Cell) -> Obstacles:
-        """The same obstacles, which are those of a cell, where it has another nozzle in use: its `own` cell."""
+        """These obstacles, which are those of `cell`, for its `own` cell, which has another nozzle in use."""
         return self if own is cell else self.of(own)
 
     def with_nozzle_at(self, cell: Cell, nozzle: float) -> Obstacles | None:
-        """The same where nozzle and head keep this distance [m], if that is less than they keep; else None."""
+        """The same with nozzle and head keeping this distance [m], if that is less than they keep now; else None."""
         if self.around is None or nozzle >= self.around.nozzle:
             return None
         return _assembled(cell, replace(self.around, nozzle=nozzle, meshes=()))
 
     def standing(self, cell: Cell, q: Array, now: float, margin: float) -> tuple[str, ...]:
-        """Names of the bodies that stand with the part where it is one of them, not part or print, that leaves a posture
-        q (nj) at a time of the print so little margin [m]; none where it is not."""
+        """Names of the bodies fixed in the part frame, if it is one of them, not part or print, that leaves a posture
+        q (nj) so little margin [m] at a time of the print; else none."""
         around = self.around
         if around is None or around.body is None or not around.body.bodies:
             return ()
@@ -243,7 +250,7 @@ class Obstacles:
 
     def margins(self, q: Array, now: Array, enough: float, more: float = 0.0) -> tuple[Array, Ints]:
         """Least clearance (n) beyond what is needed at postures q (n, nj) at times of the print now (n), if below
-        `enough` [m]; and which pair (n) has it, or -1. `more` [m] is asked for between bodies besides.
+        `enough` [m]; and which pair (n) has it, or -1. `more` [m] is required between bodies in addition.
 
         Raises InputError for other shapes: compiled code would read beyond their ends.
         """
@@ -260,17 +267,17 @@ class Obstacles:
 
     def hit(self, q: Array, now: float, allowed: float) -> int:
         """The first pair found whose margin falls below `allowed` [m] along postures q (n, nj) at a time of the print,
-        or -1; between postures as well, as far as their steps are small."""
+        or -1; between postures as well, provided that their steps are small."""
         if not self.any:
             return -1
         steps = np.abs(np.diff(q, axis=0)) @ self.swing
-        rate = 1.0 + TIP_SLOPE if self.table.head_on_part.any() else 1.0  # what is asked for changes by the tip, too
+        rate = 1.0 + TIP_SLOPE if self.table.head_on_part.any() else 1.0  # what is required depends on the tip, too
         gone = rate * np.concatenate([np.zeros(1), np.cumsum(steps)])
         return int(hit_along(self.table, np.ascontiguousarray(q), gone, now, allowed, allowed + _FAR))
 
     @cached_property
     def swing(self) -> Array:
-        """How far anything moves at most for each radian, or metre, of the joints (nj) [m]."""
+        """The farthest that anything moves per radian, or metre, of the joints (nj) [m]."""
         table, na = self.table, int(self.table.arm[0])
         nj = len(table.axes)
         length = np.linalg.norm(table.placements[:, :3, 3], axis=1)
@@ -303,7 +310,7 @@ class Obstacles:
 
 
 def _empty() -> Table:
-    """A table of nothing."""
+    """An empty table."""
     none, no_index, no_poses = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4))
     no_points, no_pairs = np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
     table = Table(
@@ -384,7 +391,7 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
 
 
 def _points_of(solids: Sequence[Solid], around: Around) -> tuple[tuple[Mesh, PointTree], ...]:
-    """The meshes among solids with points all over each, those that are known as they are."""
+    """The meshes among solids with points all over each; points that are known are reused."""
     known = {id(mesh): tree for mesh, tree in around.meshes}
     clearance = min(around.nozzle, around.arm)
     return tuple(
@@ -442,10 +449,10 @@ def _joined(trees: Sequence[PointTree]) -> dict[str, Any]:
 def _without_needless_pairs(
     cell: Cell, obstacles: Obstacles, solid: Sequence[CollisionBody], meshes: Sequence[CollisionBody]
 ) -> Table:
-    """The table without pairs of one robot's own bodies that need no look; part and print count as the holder's own.
+    """The table without pairs of one robot's own bodies that need no check; part and print count as the holder's own.
 
-    Those are pairs that are too near in every posture before the print, since they are built that way, and pairs of the
-    holder that none of its postures brings near. Pairs that only cannot be as far apart as is asked for keep _BUILT.
+    These are pairs that are too close in every posture before the print, since they are built that way, and pairs of
+    the holder that none of its postures brings close. Pairs that merely cannot be as far apart as required keep _BUILT.
     """
     table, p = obstacles.table, len(obstacles.table.pair)
     whose = [(solid[a].whose, solid[b].whose) for a, b in table.pair]
@@ -494,7 +501,7 @@ def _lacking(table: Table, q: Array, now: float) -> Flags:
 
 
 def _only(table: Table, kept: Ints) -> Table:
-    """The table with some of its pairs and looks, which are counted after them."""
+    """The table with some of its pairs and looks, which are numbered after the pairs."""
     p = len(table.pair)
     pairs, looks = kept[kept < p], kept[kept >= p] - p
     there = {name: getattr(table, name)[looks] for name in _OF_LOOKS}
@@ -502,15 +509,15 @@ def _only(table: Table, kept: Ints) -> Table:
 
 
 def _within_a_turn(cell: Cell) -> tuple[Array, Array]:
-    """Ranges of all joints (nj), of those that turn farther one turn of them."""
+    """Ranges of all joints (nj), reduced to one turn where they are wider."""
     limits = cell.limits
     free = limits.turns & (limits.q_max - limits.q_min > 2.0 * np.pi)
     return np.where(free, -np.pi, limits.q_min), np.where(free, np.pi, limits.q_max)
 
 
 def _all_over(cell: Cell, low: Array, high: Array, swing: Array) -> tuple[Array, float]:
-    """Postures (n, nj) all over the ranges of the holder's joints, and how far these move anything from any posture to the
-    nearest of them at most [m]."""
+    """Postures (n, nj) all over the ranges of the holder's joints, and the farthest that anything moves from any
+    posture to the nearest of them [m]."""
     na, nh = len(cell.arm), len(cell.holder)
     each = min(int(_EVERYWHERE ** (1.0 / nh)), _FINEST)
     step = (high - low)[na:] / each

@@ -1,4 +1,4 @@
-"""Everything that may touch, as numbers for the compiled kernels, and the room that a thread of theirs needs."""
+"""Everything that may touch, as numbers for the compiled kernels, and the scratch that one of their threads needs."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from planner.collision.point_tree import SearchRoom, search_room
 
 
 class Table(NamedTuple):
-    """Everything that may touch, as numbers (nj joints, b bodies, p pairs of them, t trees, k bodies looked at by trees).
+    """Everything that may touch, as numbers (nj joints, b bodies, p pairs, t trees, k looks of a body and a tree).
 
     placements (nj, 4, 4), axes (nj, 6)   as in Chain, of the arm and then the holder; arm (1): how many are the arm's
     tip (3)                               of the nozzle in the arm's last frame
-    frame, kind (b), size (b, SIZES), planes, vertices, span (b, 2)   solids as in Packed; span: first vertex and how many
+    frame, kind (b), size (b, SIZES), planes, vertices, span (b, 2)   solids as in Packed; span: first vertex, count
     T_frame_solid (b, 4, 4), ball (b, 4)  middle and reach of a ball around each, in its frame
     pair (p, 2), needed (p)               bodies that may touch, the distance that they keep [m]
     points .. right                       the trees of `PointTree` end to end
@@ -25,10 +25,11 @@ class Table(NamedTuple):
     tree_frame (t), T_frame_tree (t, 4, 4)
     look (k, 2)                           body and tree
     keep (k, 3)                           clearance, slope and slack, see `nearest_point`
-    slack (n beads)                       in the place of the third where head and part are, by the bead that is printed
-    graze (n beads)                       as `TipRule` has it where head and part are, likewise; elsewhere it says nothing
-    head_on_part (k)                      head and part: a nozzle's pose in the part alone says how they are
-    round_on_part (k)                     of these, where the head's body is round about the nozzle's axis: roll changes nothing
+    slack (n beads)                       replaces the third of `keep` for head and part, by the bead that is printed
+    graze (n beads)                       as in `TipRule`, for head and part likewise; not used elsewhere
+    head_on_part (k)                      head and part: their margin depends only on the nozzle's pose in the part
+    round_on_part (k)                     of these, where the head's body is round about the nozzle's axis: roll has no
+                                          effect
     """
 
     placements: Array
@@ -65,16 +66,18 @@ class Table(NamedTuple):
 
 
 def with_fields(table: Table, **fields: NDArray[Any]) -> Table:
-    """The table with other arrays in it, all of them read-only: so are those that verification has, and kernels that both
-    call are compiled once."""
+    """The table with some arrays replaced, all read-only.
+
+    So are verification's arrays, and kernels that both call are compiled only once.
+    """
     return table._replace(**{name: read_only(values) for name, values in fields.items()})
 
 
 class Workspace(NamedTuple):
-    """Room for one thread: frames (nf, 4, 4), joints' origins and directions (nj, 6), bodies' middles (b, 3) and poses
-    of solids (b, 4, 4) in the world, which of these are known, directions that parted pairs (p, 3), simplex (4, 9), few
-    (4, 3) places of a body in a tree's frame, the pose T_solid_tree (4, 4), a search's room, and last (1), the pair that
-    lacked clearance last."""
+    """Scratch for one thread: frames (nf, 4, 4), joints' origins and directions (nj, 6), bodies' middles (b, 3) and
+    poses of solids (b, 4, 4) in the world, which of these are known, directions that separated pairs (p, 3), simplex
+    (4, 9), few (4, 3) places of a body in a tree's frame, the pose T_solid_tree (4, 4), a search's scratch, and last
+    (1), the pair that most recently lacked clearance."""
 
     frames: Array
     lines: Array
@@ -91,7 +94,7 @@ class Workspace(NamedTuple):
 
 @inner_njit
 def workspace_for(table):
-    """A thread's room."""
+    """Scratch for a thread."""
     nj, b = len(table.axes), len(table.frame)
     frames = np.zeros((1 + nj, 4, 4))
     frames[:, 3, 3] = 1.0

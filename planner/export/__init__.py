@@ -1,1 +1,1 @@
-"""Exporters: tables of any plan, robot code of verified ones only."""
+"""Exporters: tables of any plan, robot code only of verified plans."""

@@ -1,4 +1,4 @@
-"""Lines and circular arcs between targets: where they are nearest to a point, and what a controller makes of them."""
+"""Lines and circular arcs between targets: lengths, points and tangents, and where they are nearest to a point."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
 
-TINY = 1e-12  # m, and m^2: keeps what has no length from dividing by nothing
+TINY = 1e-12  # [m, rad]: avoids divisions by zero where there is no length
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class LinesAndArcs:
 
     begin, end      (n, 3) [m]
     circular        (n)
-    centre, e1, e2  (n, 3) of arcs: from the centre, e1 points to the beginning, e2 the way that the arc goes at first
+    centre, e1, e2  (n, 3) of arcs: from the centre, e1 points to the beginning, e2 in the arc's initial direction
     radius, swept   (n) of arcs [m, rad]; 0 for lines
     """
 
@@ -32,12 +32,12 @@ class LinesAndArcs:
 
     @property
     def length(self) -> Array:
-        """(n) [m]."""
+        """Lengths (n) [m]."""
         out: Array = np.where(self.circular, self.radius * self.swept, np.linalg.norm(self.end - self.begin, axis=1))
         return out
 
     def take(self, rows: Indices) -> LinesAndArcs:
-        """The segments of rows (k)."""
+        """The segments in rows (k)."""
         return LinesAndArcs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def at(self, u: Array) -> Array:
@@ -61,14 +61,14 @@ class LinesAndArcs:
             return out
         arm = points - self.centre
         phi = np.arctan2(np.einsum("ij,ij->i", arm, self.e2), np.einsum("ij,ij->i", arm, self.e1))
-        # what lies behind the end belongs to it as long as the beginning is farther, on the circle
+        # points past the end belong to the end as long as the beginning is farther along the circle
         phi = np.where(phi < 0.5 * self.swept - np.pi, phi + 2.0 * np.pi, phi)
         share = np.clip(phi / np.maximum(self.swept, TINY), 0.0, 1.0)
         result: Array = np.where(self.circular, share, out)
         return result
 
     def tangents(self, at_end: bool) -> Array:
-        """Unit directions (n, 3) in which segments begin, or end; 0 where they have no length."""
+        """Unit tangents (n, 3) at the beginning or end of segments; 0 where they have no length."""
         chord = self.end - self.begin
         out: Array = chord / np.maximum(np.linalg.norm(chord, axis=1), TINY)[:, None]
         if self.circular.any():
@@ -81,7 +81,7 @@ class LinesAndArcs:
 def segments(begin: Array, via: Array, end: Array, circular: Flags) -> LinesAndArcs:
     """Lines from `begin` to `end` (n, 3), and arcs through `via` (n, 3) where `circular` (n).
 
-    An arc whose three points lie on a line, or coincide, is the line.
+    An arc whose three points are collinear, or coincide, becomes a line.
     """
     chord = end - begin
     length = np.linalg.norm(chord, axis=1)
@@ -92,13 +92,13 @@ def segments(begin: Array, via: Array, end: Array, circular: Flags) -> LinesAndA
     height = np.linalg.norm(aside, axis=1)
     round_ = circular & (length > 1e-9) & (height > 1e-9)
     y = aside / np.where(round_, height, 1.0)[:, None]
-    # the circle through (0, 0), (length, 0) and (along, height): its centre stands `below` the chord
+    # the circle through (0, 0), (length, 0) and (along, height): its centre lies `below` the chord
     below = np.where(round_, (along * (length - along) - height**2) / (2.0 * np.where(round_, height, 1.0)), 0.0)
     centre = begin + 0.5 * chord - below[:, None] * y
     radius = np.where(round_, np.hypot(0.5 * length, below), 0.0)
     swept = np.where(round_, 2.0 * np.arctan2(0.5 * length, below), 0.0)  # more than pi where the centre is above
     e1 = (begin - centre) / np.where(round_, radius, 1.0)[:, None]
-    first = np.cross(np.cross(e1, y), e1)  # in the plane, square to e1, on the side of the via point
+    first = np.cross(np.cross(e1, y), e1)  # in the plane, perpendicular to e1, on the side of the via point
     e2 = first / np.maximum(np.linalg.norm(first, axis=1), TINY)[:, None]
     flat = ~round_[:, None]
     zero = np.zeros(3)

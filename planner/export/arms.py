@@ -1,4 +1,4 @@
-"""What languages share that move an arm alone: how makers count axes and place frames, reading, and the check."""
+"""Shared by languages that move only an arm: makers' axis conventions and frames, reading, and the check."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# How makers count, for arms with a spherical wrist. Ours: upper arm upright and forearm level at zero, joints 1 and 6
-# about z and the flange's axis, 2, 3 and 5 forwards and down, 4 about the forearm; the flange's x points down there.
+# Makers' axis conventions for arms with a spherical wrist. Ours: at zero, the upper arm is upright, the forearm level,
+# and the flange's x points down. Joint 1 turns about z, 6 about the flange's axis, 4 about the forearm; 2, 3 and 5 turn
+# forwards and down.
 
-# bits of a branch, which are those of ABB's cfx (`Trajectory.branch`)
+# bits of a branch, the same as in ABB's cfx (`Trajectory.branch`)
 BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE = 4, 2, 1
 
 
@@ -32,9 +33,9 @@ BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE = 4, 2, 1
 class Convention:
     """A maker's axes and frames.
 
-    axes, offset  axes = axes @ q + offset [rad], of our joints q
-    flange        by how much the maker's flange frame is turned about its z against ours [rad]
-    base          likewise the base frame about its z
+    axes, offset  the maker's axes are axes @ q + offset [rad] for our joints q
+    flange        angle about z from our flange frame to the maker's [rad]
+    base          likewise for the base frame
     shoulder      the base frame's origin is level with axis 2; otherwise it is at the foot
     """
 
@@ -45,12 +46,12 @@ class Convention:
     shoulder: bool = False
 
     def counted(self, q: Array) -> Array:
-        """The maker's axes (m, 6) of our joints (m, 6) [rad]."""
+        """The maker's axes (m, 6) for our joints (m, 6) [rad]."""
         out: Array = q @ self.axes.T + self.offset
         return out
 
     def joints(self, axes: Array) -> Array:
-        """Our joints (m, 6) of the maker's axes (m, 6) [rad]."""
+        """Our joints (m, 6) for the maker's axes (m, 6) [rad]."""
         out: Array = (axes - self.offset) @ np.linalg.inv(self.axes).T
         return out
 
@@ -67,7 +68,7 @@ class Convention:
         return out
 
     def tool(self, cell: Cell) -> Array:
-        """T_flange_nozzle (4, 4) from the maker's flange."""
+        """T_flange_nozzle (4, 4) for the maker's flange."""
         out: Array = self.T_flange_maker.T @ cell.T_flange_nozzle
         return out
 
@@ -78,7 +79,7 @@ class Convention:
 
 
 def turned(angle: float) -> Array:
-    """A turn (4, 4) about z [rad]."""
+    """A rotation (4, 4) about z by an angle [rad]."""
     T = np.eye(4)
     c, s = np.cos(angle), np.sin(angle)
     T[:2, :2] = np.round([[c, -s], [s, c]], 12)
@@ -86,12 +87,12 @@ def turned(angle: float) -> Array:
 
 
 def signed(*signs: float) -> Array:
-    """Axes that count as ours do, or against."""
+    """Axes with the same (1) or the opposite (-1) sense as ours."""
     return np.diag(np.array(signs))
 
 
 def percent(plan: Plan, moves: Moves) -> list[int]:
-    """Speed of axes (m) [percent of their greatest] for each move, the plan's greatest until the next stop."""
+    """Axis speed (m) [percent of the greatest] of each move: the plan's greatest between the stops around it."""
     t = plan.trajectory
     limits = [plan.cell.arm_robot.model.velocityLimit]
     if (station := plan.cell.station) is not None:
@@ -114,19 +115,19 @@ def matrix_of(pose: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Reading: the moves, waits and outputs of a program as its statements come.
+# Reading: the moves, waits and outputs of a program, statement by statement.
 
 
 @dataclass(frozen=True)
 class ProgramStep:
     """A move.
 
-    linear, fine  a line or an arc; it comes to rest at its end
-    target        x y z [m], quaternion x y z w (7) of a line; the maker's axes [rad] (6) of a joint move
-    speed         of the tip [m/s] of a line; percent of a joint move
-    zone          of the blend at its end [m]; NaN where the language does not say it
+    linear, fine  it is a line or an arc; it comes to rest at its end
+    target        x y z [m], quaternion x y z w (7) for a line; the maker's axes [rad] (6) for a joint move
+    speed         of the tip [m/s] for a line; percent for a joint move
+    zone          size of the blend at its end [m]; NaN if the language does not give it
     branch        of a line, or UNSPECIFIED
-    via           of an arc, a pose on its way, as the target of a line
+    via           via pose of an arc, in the form of a line's target
     """
 
     linear: bool
@@ -140,9 +141,9 @@ class ProgramStep:
 
 @dataclass(frozen=True)
 class ProgramSteps:
-    """What the statements of a program have done so far: grows with each of them.
+    """What the statements of a program have done so far; grows with each statement.
 
-    switched  (move, output, value) of outputs that are switched after a move; with `triggers` on the path of a move
+    switched  (move, output, value) for outputs switched after a move; `triggers`: those switched on the path of a move
     """
 
     moves: list[ProgramStep] = field(default_factory=list)
@@ -160,18 +161,18 @@ class ProgramSteps:
         self.switched.append((len(self.moves) - 1, output, value))
 
     def trigger(self, distance: float, value: bool, output: str) -> None:
-        """Set an output before the end of the last move [m]."""
+        """Set an output at a distance [m] before the end of the last move."""
         at = len(self.moves) - 1
         self.triggers[at] = (*self.triggers.get(at, ()), Trigger(distance, False, value, output))
 
 
 @dataclass(frozen=True)
 class ArmProgram:
-    """A program (m moves) that was read: axes as the maker counts them, frames from the maker's flange and base.
+    """A program (m moves) that was read, in the maker's axes, with frames from the maker's flange and base.
 
     axes, share  (m, 6) [rad] and (m) [percent] of joint moves; NaN for others
-    via_quat     (m, 4) orientations on the way of arcs; NaN for others
-    off          outputs that are switched off before the first move, and behind the last one
+    via_quat     (m, 4) orientations at via points of arcs; NaN for others
+    off          outputs switched off before the first move, and after the last one
     """
 
     program: RobotProgram
@@ -182,9 +183,9 @@ class ArmProgram:
 
 
 def switch_triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, tuple[Trigger, ...]]:
-    """Outputs that are switched after one of m moves, as if at its end; the blend there tells how much earlier it happens.
+    """Outputs switched after one of m moves, as triggers at its end; the blend decides how much earlier they switch.
 
-    Before the first move they are set to where they should be; after the last one they are switched off once more.
+    Leaves out the switching off before the first move and, once more, after the last one.
     """
     found: dict[int, tuple[Trigger, ...]] = {}
     for at, output, value in switched:
@@ -198,10 +199,10 @@ def switch_triggers(switched: list[tuple[int, str, bool]], m: int) -> dict[int, 
 def read_arm(
     title: str, steps: ProgramSteps, tool: Array, part: Array, forward: Callable[[Array], Array], file: str
 ) -> ArmProgram:
-    """A program of steps, the first of which goes to the start in joints.
+    """A program from its steps; the first one must be a joint move to the start.
 
-    tool, part  (7) as `pose_of` has them; forward: the maker's axes (k, 6) → T_part_nozzle (k, 4, 4)
-    Raises InputError for steps that are no program.
+    tool, part  (7) as from `pose_of`; forward: the maker's axes (k, 6) → T_part_nozzle (k, 4, 4)
+    Raises InputError for steps that do not make a program.
     """
     moves, m = steps.moves, len(steps.moves)
     linear: Flags = np.array([move.linear for move in moves], dtype=bool)
@@ -250,9 +251,9 @@ def read_arm(
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan.
+# Check of a program that was read against the plan.
 
-ROUNDED_TURN = 2e-4  # rad by which three angles of three digits in degrees may turn an orientation, and more
+ROUNDED_TURN = 2e-4  # [rad]; more than rounding three angles to three decimals in degrees can turn an orientation
 
 
 def arm_differences(
@@ -268,10 +269,10 @@ def arm_differences(
     """Differences of a program from its plan, in words.
 
     rounding  of the axes [rad]
-    speeds    (m) [m/s] that lines are to have, as rounded in the file
-    tick      what waits are rounded to [s]
-    zones     (m) [m] of blends where the language says them
-    Blends whose size a language does not say are taken to be those that the tolerance allows.
+    speeds    (m) [m/s] of lines, as rounded in the file
+    tick      that waits are rounded to [s]
+    zones     (m) [m] of blends, if the language gives them
+    Blends whose size a language does not give are assumed to be as large as the tolerance allows.
     """
     cell = plan.cell
     linear, circular = (np.concatenate([[False], kind]) for kind in (moves.linear, moves.circular))
@@ -279,7 +280,7 @@ def arm_differences(
         return [f"moves are not of the planned kinds: {len(read.program.linear)}, planned {len(linear)}"]
     radii = np.concatenate([[0.0], move_radii(plan, moves)])
     program = _in_the_cell(plan, moves, read, convention, rounding, tick)
-    said = replace(program, zone=read.program.zone)  # blends that the language does not say are nobody's to judge
+    said = replace(program, zone=read.program.zone)  # blends that the language does not give cannot be judged
     found = [*played_differences(plan, moves, program, speeds), *blend_differences(plan, said)]
     off = np.abs(read.axes - convention.counted(moves.q[:, cell.own]))[~linear].max()
     if not off <= rounding:
@@ -293,14 +294,14 @@ def arm_differences(
         found.append("it stops elsewhere than planned")
     on_way = angle(read.via_quat[circular], moves.via.quat[moves.circular]).max(initial=0.0)
     if not on_way <= ROUNDED_TURN:
-        found.append(f"orientations on the way of arcs differ by {on_way:.3g} rad")
+        found.append(f"orientations at via points of arcs differ by {on_way:.3g} rad")
     if zones is not None and np.abs(program.zone[1:] - zones).max() > 1e-9:
         found.append("blends are not the planned ones")
     return [*found, *off_differences(plan, read.off)]
 
 
 def arm_program(plan: Plan, moves: Moves, read: ArmProgram, convention: Convention, rounding: float) -> RobotProgram:
-    """A program of the plan's moves as it can be played, what its language leaves open as the plan has it.
+    """A program of the plan's moves, ready to be played, with whatever its language leaves open taken from the plan.
 
     rounding  of the axes [rad]
     """
@@ -310,12 +311,12 @@ def arm_program(plan: Plan, moves: Moves, read: ArmProgram, convention: Conventi
 def _in_the_cell(
     plan: Plan, moves: Moves, read: ArmProgram, convention: Convention, rounding: float, tick: float
 ) -> RobotProgram:
-    """What was read in the cell's own frames and joints, with the plan's waits and blends where they are left open."""
+    """The program in the cell's own frames and joints, with the plan's waits and blends where they are left open."""
     radii = np.concatenate([[0.0], move_radii(plan, moves)])
     planned = np.array([sum(wait.time for wait in moves.waits.get(i, ())) for i in range(-1, len(moves))])
     rounded = np.abs(read.program.wait - planned) <= 0.501 * tick
     start, own = convention.joints(read.axes[:1])[0], plan.trajectory.q[0, plan.cell.own]
-    near = np.abs(start - own).max() <= 3.0 * rounding  # of a joint that three of the maker's axes make
+    near = np.abs(start - own).max() <= 3.0 * rounding  # up to three of the maker's axes add up to one joint
     return replace(
         named(read.program, output_numbers(plan.problem)),
         start=np.concatenate([own if near else start, np.full(6, np.nan)]),

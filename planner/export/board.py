@@ -1,4 +1,4 @@
-"""The extruder's board by its firmware: how tools are selected, inputs waited for, and how long filament takes."""
+"""The extruder's board by its firmware: selecting tools, waiting for inputs, and how long filament takes."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from planner.base.arrays import Array
 if TYPE_CHECKING:
     from planner.problem.settings import BoardSpec
 
-# How late an idle board begins to move.
+# How late an idle board starts to move.
 #
-# RepRapFirmware waits for further lines (M595 R, 10 ms unless set), Marlin too unless it has three (its planner's
+# RepRapFirmware waits for further lines (M595 R, 10 ms unless set); so does Marlin unless it has three (its planner's
 # BLOCK_DELAY_FOR_1ST_MOVE). Klipper plans a quarter of a second ahead of its clock (BUFFER_TIME_START), once.
-GRACE = 10e-3  # s
-AT_ONCE = 3  # moves of Marlin that begin without waiting
+GRACE = 10e-3  # [s]
+AT_ONCE = 3  # queued moves with which Marlin starts without waiting
 
 
 @dataclass(frozen=True)
 class Firmware:
-    """What a board is told.
+    """The commands of a board's firmware.
 
     title     its name in words
     begin     first lines, before anything moves
-    wait      waits until an input (first) has a level (second); empty where it cannot
-    wired     where its numbers of inputs come from, in words
-    loops     whether a file can repeat lines for as long as an input has a level
-    least     moves in a row that begin without waiting for more
+    wait      format of the line that waits until an input (first) has a level (second); empty if it cannot wait
+    wired     where its input numbers come from, in words
+    loops     whether a file can repeat lines while an input has a level
+    least     consecutive moves with which it starts without waiting for more
     """
 
     title: str
@@ -42,8 +42,8 @@ class Firmware:
 
 
 FIRMWARES = {
-    # M203 I: the least speed, 0.5 mm/s unless set, which thin beads stay below, and 0.01 mm/s is the lowest that it
-    # takes; M595 R: see above
+    # M203 I: the least speed [mm/min]. Its default of 0.5 mm/s is too fast for thin beads; 0.01 mm/s is the lowest it
+    # accepts. M595 R: see above
     "reprap": Firmware(
         "RepRapFirmware",
         begin=("M203 I0.6", "M595 R0"),
@@ -58,7 +58,7 @@ FIRMWARES = {
 
 def select(firmware: str, tool: int) -> str:
     """The line that selects a tool; a Duet without one refuses to extrude."""
-    if firmware == "klipper":  # T0 is a macro there, which not everybody has
+    if firmware == "klipper":  # T0 is a macro there, which not every printer has
         return f"ACTIVATE_EXTRUDER EXTRUDER=extruder{tool or ''}"
     return f"T{tool}"
 
@@ -76,24 +76,24 @@ def wait_for(firmware: str, number: int, on: bool) -> str:
 
 
 def repeat(number: int, most: int) -> str:
-    """The line of RepRapFirmware (3.01 and later) that repeats those indented behind it while an input is on."""
+    """The line of RepRapFirmware (3.01 and later) that repeats the indented lines after it while an input is on."""
     return f"while sensors.gpIn[{number}].value == 1 && iterations < {most}"
 
 
 SELECTS = r"T(\d+)|ACTIVATE_EXTRUDER EXTRUDER=extruder(\d*)"
 _SELECTS = re.compile(SELECTS, re.ASCII)
-DONE = "M400"  # waits until all has moved
+DONE = "M400"  # waits until all moves are done
 
 
 def least_time(board: BoardSpec, rate: float) -> float:
-    """How long [s] a line that moves filament at a mean rate [mm/s] has to last, so that there is time for its ramps."""
+    """How long [s] a line that moves filament at a mean rate [mm/s] must last to leave time for its ramps."""
     return 4.0 * rate / (board.acceleration * 1e3) if board.from_rest else 0.0
 
 
 def rate_for(board: BoardSpec, amount: Array, seconds: Array) -> Array:
     """Rate (n) [mm/s] at which filament (n) [mm] moves in a time (n) [s]: evenly, or with ramps from rest to rest.
 
-    Where the ramps alone would take longer it is the highest rate that is reached.
+    If the ramps alone would take longer, it is the peak rate reached.
     """
     way = np.abs(amount)
     if not board.from_rest:
@@ -105,7 +105,7 @@ def rate_for(board: BoardSpec, amount: Array, seconds: Array) -> Array:
 
 
 def lasts(board: BoardSpec, amount: Array, rate: Array) -> Array:
-    """Time (n) [s] that filament (n) [mm] takes at a rate (n) [mm/s]; none where it is not moved."""
+    """Time (n) [s] that filament (n) [mm] takes at a rate (n) [mm/s]; 0 where none moves."""
     way = np.abs(amount)
     rate = np.where(way > 0.0, rate, 1.0)
     if not board.from_rest:

@@ -1,4 +1,4 @@
-"""Three angles of an orientation, as controllers have them."""
+"""Orientations as three angles, in the conventions of controllers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 
-LEVEL = 1e-9  # sine or cosine below which two of the angles are one
+LEVEL = 1e-9  # sine or cosine below which two of the angles turn about the same axis (gimbal lock)
 
 
 def fixed_xyz(R: Array) -> Array:
@@ -28,7 +28,7 @@ def from_fixed_xyz(angles: Array) -> Array:
 
 def turning_xyz(R: Array) -> Array:
     """Turns about x, then the new y, then the new z (m, 3) [rad]: R = Rx Ry Rz. x is 0 where y is a right angle."""
-    back = fixed_xyz(R.transpose(0, 2, 1))  # of the inverse, whose turns come the other way round
+    back = fixed_xyz(R.transpose(0, 2, 1))  # of the inverse, whose turns come in reverse order
     level = np.hypot(R[:, 0, 0], R[:, 0, 1])
     upright = level < LEVEL
     x = np.where(upright, 0.0, np.arctan2(-R[:, 1, 2], R[:, 2, 2]))
@@ -58,20 +58,20 @@ def from_turning_zyz(angles: Array) -> Array:
 
 
 def read_pose(values: Iterable[str | float], of_angles: Callable[[Array], Array]) -> Array:
-    """x y z [m], quaternion x y z w (7) of x y z [mm] and three angles [deg], whose quaternions `of_angles` makes."""
+    """x y z [m], quaternion x y z w (7) from x y z [mm] and three angles [deg], which `of_angles` converts."""
     numbers = [float(value) for value in values]
     return np.concatenate([np.array(numbers[:3]) * 1e-3, of_angles(np.radians([numbers[3:]]))[0]])
 
 
 def written(angles: Array, decimals: int) -> Array:
-    """Angles [rad] in degrees, rounded; half a turn is never negative, so that it is one value on every processor."""
+    """Angles [rad] in degrees, rounded; half a turn is always positive, so that all processors give the same value."""
     out: Array = np.round(np.degrees(angles), decimals).astype(np.float64) + 0.0
     out[out == -180.0] = 180.0
     return out
 
 
 def product(a: Array, b: Array) -> Array:
-    """Quaternions (m, 4) x y z w of one turn (m, 4) after the other, both in the frames that they have come to."""
+    """Quaternion products a b (m, 4) x y z w: turn a, then turn b about the axes as turned by a."""
     ax, ay, az, aw = a.T
     bx, by, bz, bw = b.T
     return np.column_stack(

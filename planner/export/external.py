@@ -1,4 +1,4 @@
-"""External axes of a controller: what carries the arm, then what holds the part, each with all of its axes."""
+"""External axes of a controller: the arm's carrier, then the part's holder, each with all of its axes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ExternalAxis:
-    """An axis by its name, where it is held (None: it moves) [rad, m], and whether it slides."""
+    """An axis: its name, where it is held [rad, m] (None: it moves), and whether it slides."""
 
     name: str
     held: float | None
@@ -27,12 +27,12 @@ class ExternalAxis:
 
     @property
     def words(self) -> str:
-        """Its name, and that it is held or counts millimetres."""
+        """Its name, and whether it is in millimetres, or held."""
         return self.name + (" (mm)" if self.slides else "") + ("" if self.held is None else " (held)")
 
 
 def carrying_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
-    """Axes of what carries the arm; none where the arm stands, or its carrier does."""
+    """Axes of the arm's carrier; empty if the arm has none, or the carrier does not move."""
     if cell.carrier is None or not cell.carrier.free:
         return ()
     robot, held = cell.carrier.robot, cell.carrier.held
@@ -49,12 +49,12 @@ def external_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
 
 
 def task_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
-    """External axes of the task that moves the nozzle: a second arm's joints are moved by a task of its own."""
+    """External axes of the task that moves the nozzle; a second arm's joints belong to a task of its own."""
     return carrying_axes(cell) if cell.second_arm is not None else external_axes(cell)
 
 
 def held_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
-    """All axes that are held, of what carries the arm and of what holds the part, by names that no other joint has."""
+    """All held axes of the arm's carrier and the part's holder, with names that no other joint has."""
     carrier, robot = cell.carrier, cell.holder_robot
     below = () if carrier is None else _held(carrier.robot, carrier.held, "base", cell.joint_names)
     taken = (*cell.arm.names, *(axis.name for axis in below))
@@ -69,13 +69,13 @@ def _held(robot: Robot, held: Mapping[str, float], prefix: str, taken: Collectio
 
 
 def moving_unit(setup: Setup) -> str:
-    """Name of the mechanical unit that moves the part; empty where nothing does."""
+    """Name of the mechanical unit that moves the part; empty if none does."""
     cell = setup.cell
     return "" if cell.station is None else setup.problem.program.mover(cell.second_arm is not None)
 
 
 def external_written(cell: Cell, station: Array) -> Array:
-    """The external axes (m, k) as programs have them [deg, mm], from those that move (m, f) [rad, m]; held ones as held."""
+    """External axes (m, k) as in programs [deg, mm], from those that move (m, f) [rad, m]; held ones as held."""
     axes = external_axes(cell)
     if not axes:
         return np.empty((len(station), 0))
@@ -88,7 +88,7 @@ def external_written(cell: Cell, station: Array) -> Array:
 
 
 def external_read(cell: Cell, external: Array) -> Array:
-    """The external axes (m, k) [rad, m] of those that a reader found (m, 6), who took all of them for degrees."""
+    """External axes (m, k) [rad, m] from a reader's (m, 6), which treats all of them as degrees."""
     scale = [np.degrees(1.0) * 1e-3 if a.slides else 1.0 for a in external_axes(cell)]
     out: Array = external[:, : len(scale)] * scale
     return out

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 # Orders to the board besides moving filament: heating, tools, fan and cutter.
 
 FULL = 255  # of S in M106
-AHEAD = 3.0  # samples by which the fan is switched before filament moves: never behind a command that has begun
+AHEAD = 3.0  # samples: the fan is switched this long before filament moves, so never behind a command that has begun
 
 
 @dataclass(frozen=True)
 class Order:
-    """Lines of G-code that are due `start` [s] after the trajectory's, and take `time` [s]; why, in words."""
+    """Lines of G-code due `start` [s] after the trajectory's start, which take `time` [s]; `words` says why."""
 
     start: float
     words: str
@@ -43,7 +43,7 @@ class Order:
 
     @property
     def due(self) -> tuple[tuple[float, str], ...]:
-        """Its commands but for pauses and comments, each with its own instant [s]."""
+        """Its commands without pauses and comments, each with its own time [s]."""
         found, now = [], self.start
         for command in (each for line in self.lines if not line.startswith(";") for each in commands_in(line)):
             if not command.startswith(PAUSE):
@@ -53,10 +53,10 @@ class Order:
 
 
 def orders(plan: Plan, firmware: str = "") -> tuple[Order, ...]:
-    """All orders by time, for a firmware (default: the board's); their lines are empty where it need do nothing.
+    """All orders by time, for a firmware (default: the board's); an order has no lines where the board need do nothing.
 
-    Temperatures are set and not waited for, but with `heat: wait` before any time has passed: only what takes a known
-    time keeps pace with the robot.
+    Temperatures are set but not waited for, except with `heat: wait`, before any time has passed: only commands that
+    take a known time stay in step with the robot.
     """
     t = plan.trajectory
     firmware = firmware or plan.problem.program.board.firmware
@@ -79,7 +79,7 @@ def _of_event(plan: Plan, event: Event, firmware: str) -> Order:
 
 
 def cutter_starts(cut: Event, fibre: FibreSpec) -> float:
-    """When [s] the cutter moves in a rest: as long before its end as after its beginning, as published."""
+    """When [s] the cutter moves within a rest: in the middle of it, as published."""
     return cut.start + 0.5 * (cut.duration - fibre.code_time)
 
 
@@ -93,7 +93,7 @@ def _heating(plan: Plan, firmware: str) -> tuple[str, ...]:
         if start.bed_c is not None:
             lines.append(f"M190 S{start.bed_c:g}")
         if named and firmware == "reprap":
-            lines.append("M116")  # M109 of several tools would select them, one after the other
+            lines.append("M116")  # M109 for several tools would select each of them
         elif named:
             lines += [f"M109{tool} S{celsius:g}" for tool, celsius in nozzles if celsius is not None]
         elif start.nozzle_c is not None:
@@ -103,16 +103,16 @@ def _heating(plan: Plan, firmware: str) -> tuple[str, ...]:
 
 
 def _is_fan(plan: Plan, line: str) -> bool:
-    """Whether a line switches the fan, and not a cutter."""
+    """Whether a line switches the fan rather than a cutter."""
     fan = plan.problem.process.fan
     return fan is not None and line.startswith(f"M106 P{fan.number} ")
 
 
 def _of_fan(fan: FanSpec, t: Trajectory, lag: float) -> list[Order]:
-    """On or off before beads whose layer is, or is not, cooled, before filament moves for them; off at the end.
+    """Fan on or off, according to each bead's layer, before filament moves for the bead; off at the end.
 
-    Not before the bead before has ended, and not while a prime, a retract or a purge moves filament, which is one line:
-    then before that line.
+    Never before the previous bead has ended. A prime, retract or purge is a single line: an order that would fall
+    within one comes before that line.
     """
     laid, begin = t.bead >= 0, float(t.t[0])
     first = np.flatnonzero(laid & (np.diff(t.bead, prepend=-1) != 0))
@@ -135,7 +135,7 @@ def _of_fan(fan: FanSpec, t: Trajectory, lag: float) -> list[Order]:
 
 
 def _samples_of(t: Trajectory, event: Event) -> list[int]:
-    """The samples between which what an event moves is one line."""
+    """The samples between which an event's filament moves as one line."""
     first = int(np.searchsorted(t.t, event.start, side="right")) - 1
     return [first, min(int(np.searchsorted(t.t, event.start + event.duration)), len(t) - 1)]
 
@@ -143,30 +143,30 @@ def _samples_of(t: Trajectory, event: Event) -> list[int]:
 # ----------------------------------------------------------------------------------------------------
 # Writer: extrusion.gcode, the extruder alone.
 #
-# By default the file waits for the robot's output at both ends of each bead. What it moves within one, and between two,
-# has its own times from there on. At a bead's end RepRapFirmware goes on laying it until the output goes off.
+# By default the file waits for the robot's output at both ends of each bead; moves within a bead, and between two, are
+# timed from that wait. At a bead's end, RepRapFirmware keeps extruding until the output goes off.
 
 Labels = NDArray[np.int64]
 
 FILE = "extrusion.gcode"
 BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines/s may stutter
-FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow that is laid become one command
-LONGEST_S = 10.0  # of one along a bead [s]: what flow differs by within it adds up, and boards pause between them
-NOTHING = -1  # label of what belongs neither to a bead nor to an event
-FIRST_EVENT = -2  # label of the first event; those of later ones count down
-TAIL_S = 0.01  # block that is repeated where the robot is late [s]: by so much, and some lines, a bead ends behind it
-SLOWER = 0.1  # share of a bead's time by which it may last longer than planned: the robot may have stopped
-LONGER = 0.1  # s by which any bead may
-ENOUGH = 2.0  # times what a board that rests needs for a line: its rate is then below twice the mean
-AMOUNT_DIGITS, RATE_DIGITS = 5, 3  # of E [mm] and F [mm/min]
+FLOW_STEP = 0.01  # share of the largest flow laid: blocks whose flows round to the same multiple become one command
+LONGEST_S = 10.0  # longest command along a bead [s]: flow differences within it add up, and boards pause between them
+NOTHING = -1  # label of samples that belong neither to a bead nor to an event
+FIRST_EVENT = -2  # label of the first event; later ones count down from it
+TAIL_S = 0.01  # [s]; block repeated while the robot is late: a bead may end this much, and a few lines, after it
+SLOWER = 0.1  # share of a bead's time by which it may last longer than planned; beyond it the robot may have stopped
+LONGER = 0.1  # [s] by which even a short bead may last longer
+ENOUGH = 2.0  # × least time of a line on a board that moves from rest to rest: its peak is then below twice the mean
+AMOUNT_DIGITS, RATE_DIGITS = 5, 3  # decimals of E [mm] and F [mm/min]
 ORDER = "order"
 
 
 class Part(NamedTuple):
     """What the board does from `start` to `end` [s]: filament [mm] at a constant rate, or lines of its own.
 
-    kind   that of an event, ORDER, or none: a bead's
-    about  comment above it, empty if it goes on with what is above
+    kind   an event's kind, ORDER, or empty for a bead
+    about  comment above it; empty if it continues the part above
     """
 
     start: float
@@ -183,9 +183,9 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def gcode(plan: Plan) -> str:
-    """G-code of the extruder: G1 E F while filament moves, G4 P in between; E is relative, mm of filament.
+    """G-code of the extruder: G1 E F while filament moves, G4 P in between; E is relative, in mm of filament.
 
-    Heating, tools, fan and cutter come from `orders`. The robot waits at home for as long as its problem says.
+    Heating, tools, fan and cutter come from `orders`. The robot waits at home for as long as the problem says.
     """
     t, board = plan.trajectory, plan.problem.program.board
     duration = float(t.t[-1] - t.t[0])
@@ -220,7 +220,7 @@ def gcode(plan: Plan) -> str:
 
 
 def parts_of(plan: Plan) -> tuple[Part, ...]:
-    """All that the board does, by the plan's time [s] from its start."""
+    """Everything that the board does, by the plan's time [s] from its start."""
     t = plan.trajectory
     cuts, label = _chunks(plan)
     fed = t.feed * 1e3
@@ -242,7 +242,7 @@ def parts_of(plan: Plan) -> tuple[Part, ...]:
 
 
 def _said(board: BoardSpec, parts: Sequence[Part], now: float) -> tuple[list[str], float]:
-    """Lines for parts that follow each other from time `now` [s] on, and when they are over."""
+    """Lines for consecutive parts from time `now` [s] on, and the time at which they end."""
     lines: list[str] = []
     for part in _enough(parts, FIRMWARES[board.firmware].least):
         if part.kind == ORDER:
@@ -250,7 +250,7 @@ def _said(board: BoardSpec, parts: Sequence[Part], now: float) -> tuple[list[str
         else:
             line, took = _extruded(board, part)
             text = [line]
-            start = part.end - took  # a line lasts E / F, which a rounded E sets only nearly: the rest is a pause's
+            start = part.end - took  # a line lasts E / F, which is inexact once rounded: a pause makes up the rest
         lines += _pause(start - now)
         now += _pause_length(start - now) + took
         lines += [f"; {part.about}"] if part.about else []
@@ -259,14 +259,14 @@ def _said(board: BoardSpec, parts: Sequence[Part], now: float) -> tuple[list[str
 
 
 def _reached(board: BoardSpec, parts: Sequence[Part]) -> list[Part]:
-    """The same, but what follows each other within a bead is one where ramps would be most of a line of a board that rests."""
+    """The parts, with consecutive ones of a bead joined where ramps from and to rest would take up most of a line."""
     found: list[Part] = []
     for part in parts:
         if found and _joined(found[-1], part) and not _is_reached(board, found[-1]):
             part = _both(found.pop(), part)
         found.append(part)
     out: list[Part] = []
-    for part in found:  # what is left over at an end
+    for part in found:  # short remainders at an end
         if out and _joined(out[-1], part) and not _is_reached(board, part):
             part = _both(out.pop(), part)
         out.append(part)
@@ -274,13 +274,13 @@ def _reached(board: BoardSpec, parts: Sequence[Part]) -> list[Part]:
 
 
 def _is_reached(board: BoardSpec, part: Part) -> bool:
-    """Whether a part takes as long as a board with ramps needs for it."""
+    """Whether a part takes long enough for a board with ramps."""
     took = part.end - part.start
     return took >= ENOUGH * least_time(board, abs(part.filament) / took)
 
 
 def _enough(parts: Sequence[Part], least: int) -> list[Part]:
-    """The same, but the first of filament that moves without a pause is divided, where there are too few to begin at once."""
+    """The parts; if a run without pauses has fewer than `least`, its first is divided, so that it starts at once."""
     found: list[Part] = []
     run: list[Part] = []
     for part in parts:
@@ -295,7 +295,7 @@ def _enough(parts: Sequence[Part], least: int) -> list[Part]:
 
 
 def _divided(run: Sequence[Part], least: int) -> list[Part]:
-    """At least so many parts, the first of them divided; none of none."""
+    """At least `least` parts, the first one divided if need be; an empty run stays empty."""
     pieces = least - len(run) + 1
     if not run or pieces <= 1:
         return list(run)
@@ -304,7 +304,7 @@ def _divided(run: Sequence[Part], least: int) -> list[Part]:
 
 
 def _share(part: Part, since: float, until: float) -> Part:
-    """A part between two shares of its time; its filament rounded as it is written."""
+    """A part between two shares of its time; its filament is rounded as in the file."""
     start, whole = part.start, part.end - part.start
     fed = [round(share * part.filament, AMOUNT_DIGITS) for share in (since, until)]
     return part._replace(start=start + since * whole, end=start + until * whole, filament=fed[1] - fed[0])
@@ -318,7 +318,7 @@ def _extruded(board: BoardSpec, part: Part) -> tuple[str, float]:
 
 
 def _pause_length(seconds: float) -> float:
-    """Whole milliseconds, which is what G4 P takes; below one there is no pause."""
+    """The length [s] in whole milliseconds, as G4 P takes it; less than half of one is no pause."""
     return max(0, round(seconds * 1e3)) * 1e-3
 
 
@@ -328,7 +328,7 @@ def _pause(seconds: float) -> list[str]:
 
 
 def own_time(board: BoardSpec, parts: Sequence[Part], duration: float) -> str:
-    """How long a board takes by itself for a file that waits for nobody, in words."""
+    """How long a board takes for a file that never waits for the robot, in words."""
     lines, now = _said(board, parts, 0.0)
     firmware = FIRMWARES[board.firmware]
     own = max(now, duration)
@@ -348,7 +348,7 @@ def own_time(board: BoardSpec, parts: Sequence[Part], duration: float) -> str:
 
 
 def _in_step(plan: Plan, parts: Sequence[Part], found: Sequence[Stretch]) -> tuple[list[str], float]:
-    """Lines that wait for the robot at both ends of each stretch, and when they are over by the plan's time [s]."""
+    """Lines that wait for the robot at both ends of each stretch, and when they end in the plan's time [s]."""
     board, dt = plan.problem.program.board, plan.trajectory.dt
     waiting: list[Part] = []
     lines: list[str] = []
@@ -372,7 +372,7 @@ def _in_step(plan: Plan, parts: Sequence[Part], found: Sequence[Stretch]) -> tup
 
 
 def _is_before(part: Part, stretch: Stretch, dt: float) -> bool:
-    # a part of what builds pressure up begins a sample before pressure does
+    # a part that builds up pressure may begin a sample before the pressure does
     return part.start < stretch.on - NEAR - 1.5 * dt if part.kind == "" else part.start < stretch.on + 0.5 * dt
 
 
@@ -381,7 +381,7 @@ def _is_within(part: Part, stretch: Stretch, dt: float) -> bool:
 
 
 def _earlier(plan: Plan, part: Part, since: float, ends: Sequence[float]) -> Part:
-    """A prime, or the fan, a little earlier: the board is to be ready when the robot comes."""
+    """A prime, or the fan, moved a little earlier, so that the board is ready when the robot arrives."""
     if part.kind != "prime" and not any(_is_fan(plan, line) for line in part.lines):
         return part
     by = early(ends, part.start, since)
@@ -389,7 +389,7 @@ def _earlier(plan: Plan, part: Part, since: float, ends: Sequence[float]) -> Par
 
 
 def _within(plan: Plan, parts: Sequence[Part], stretch: Stretch) -> tuple[list[str], float]:
-    """Lines of a stretch, from its beginning on, and when they are over by the plan's time [s]."""
+    """Lines of a stretch, from its beginning on, and when they end in the plan's time [s]."""
     board, dt = plan.problem.program.board, plan.trajectory.dt
     firmware, own = FIRMWARES[board.firmware], _reached(board, _clipped(parts, stretch, dt))
     last = own[-1] if own else None
@@ -412,7 +412,7 @@ def _within(plan: Plan, parts: Sequence[Part], stretch: Stretch) -> tuple[list[s
 
 
 def _last_block(board: BoardSpec, parts: Sequence[Part]) -> tuple[list[Part], Part]:
-    """Parts but for a block at the end of the last ones, and that block: TAIL_S long, or as long as a board that rests needs."""
+    """The parts without a block at their end, and that block: as long as TAIL_S and as ramps to and from rest need."""
     *own, last = parts
     tail = max(TAIL_S, least_time(board, last.filament / (last.end - last.start)))
     while own and last.end - last.start < tail and _joined(own[-1], last):
@@ -427,17 +427,17 @@ def _last_block(board: BoardSpec, parts: Sequence[Part]) -> tuple[list[Part], Pa
 
 
 def _joined(part: Part, following: Part) -> bool:
-    """Whether both are a bead's, and one follows the other at once."""
+    """Whether both belong to a bead and follow each other without a gap."""
     return not part.kind and not following.kind and following.start - part.end < 1e-9
 
 
 def _both(part: Part, following: Part) -> Part:
-    """Two parts as one, evenly."""
+    """Two parts as one, at an even rate."""
     return part._replace(end=following.end, filament=part.filament + following.filament)
 
 
 def _clipped(parts: Sequence[Part], stretch: Stretch, dt: float) -> list[Part]:
-    """Parts of a stretch that begin no earlier than it, and end with it where no more than a sample is over."""
+    """Parts of a stretch, clipped to begin no earlier than it, and to end with it if they overrun by about a sample."""
     found: list[Part] = []
     pool, about = 0.0, ""
     for part in parts:
@@ -458,16 +458,16 @@ def _clipped(parts: Sequence[Part], stretch: Stretch, dt: float) -> list[Part]:
 
 
 def _chunks(plan: Plan) -> tuple[Indices, Labels]:
-    """Samples (m + 1) between which filament moves at a constant rate, and what each chunk (m) belongs to.
+    """Samples (m + 1) between which filament moves at a constant rate, and the label of each chunk (m).
 
-    That is the index of a bead, FIRST_EVENT less the index of an event, or NOTHING.
+    A label is the index of a bead, FIRST_EVENT minus the index of an event, or NOTHING.
     """
     t = plan.trajectory
     moved = np.diff(t.feed)
-    # a bead's first or last part sample belongs to the bead beside it
+    # a bead's first or last partial sample belongs to the adjacent bead
     label = np.where(np.diff(t.extruded) > 0.0, np.maximum(t.bead[:-1], t.bead[1:]), NOTHING)
     for k, event in enumerate(t.events):
-        if event.amount != 0.0:  # which moves more filament than the part of a bead in the same sample
+        if event.amount != 0.0:  # it moves more filament than the part of a bead in the same sample
             label[slice(*_samples_of(t, event))] = FIRST_EVENT - k
     edge = np.flatnonzero(np.diff(label)) + 1
     starts = np.concatenate([[0], edge])
@@ -480,7 +480,7 @@ def _chunks(plan: Plan) -> tuple[Indices, Labels]:
     count = np.diff(np.append(heads, len(moved)))
     mean, within = np.add.reduceat(moved, heads) / count, label[heads] >= 0
     most = float(np.abs(mean[within]).max(initial=0.0))
-    if plan.problem.process.extruder.lag > 0.0:  # pressure is built up many times as fast as material is laid
+    if plan.problem.process.extruder.lag > 0.0:  # building up pressure feeds many times as fast as laying material
         laid = np.add.reduceat(without_lag(plan), heads) / count
         most = min(most, float(laid[within].max(initial=0.0)))
     level = np.round(mean / max(most, 1e-300) / FLOW_STEP)
@@ -492,11 +492,11 @@ def _chunks(plan: Plan) -> tuple[Indices, Labels]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Reader and check: each tool gets the filament that the plan has for it, in time, and in step with the robot.
+# Reader and check: each tool gets the filament planned for it, on time, and in step with the robot.
 
-AMOUNT = 1e-5  # m of filament that a tool may get too much or too little, in all
-LATE = 2e-3  # s, and a sample: by which an order may stand behind or before its instant
-RAMPS = 0.02  # s by which a bead may end late on a board whose ramps take longer than a line may
+AMOUNT = 1e-5  # [m] of filament that a tool may get too much or too little in total
+LATE = 2e-3  # [s], plus a sample: how far an order may be from its time
+RAMPS = 0.02  # [s] by which a bead may end late on a board whose ramps take longer than a line may
 _COMMAND = r"M(?:42|104|106|107|140|280)(?: [A-FH-LO-Z]-?[\d.]+)*"
 GRAMMAR = Grammar.of(
     "G-code",
@@ -518,8 +518,8 @@ GRAMMAR = Grammar.of(
 
 
 class BoardStep(NamedTuple):
-    """A wait for the robot: the line without its number, the input, and whether it is to be on; when the board is ready
-    for it [s], and the filament [m] since the one before; how long [s] its last line is repeated at most, if it is."""
+    """A wait for the robot: its command, the input, and whether that must be on; when the board is ready for it [s],
+    filament [m] since the previous wait, and how long [s] the last line before it is repeated at most, if it is."""
 
     code: str
     number: int
@@ -531,10 +531,10 @@ class BoardStep(NamedTuple):
 
 @dataclass(frozen=True)
 class Extrusion:
-    """What the program does: filament in all [m] by tool, when tools are selected [s], the other lines for the board with
-    their times [s], where it waits for the robot, lines of its beginning, and how long it lasts [s].
+    """What the program does: total filament [m] by tool, when tools are selected [s], other orders to the board with
+    their times [s], its duration [s], its waits for the robot, and its opening lines.
 
-    fed (k, 2): filament in all [m] at times [s], at the beginning and the end of each line that moves some.
+    fed (k, 2): total filament [m] at times [s], at the beginning and the end of each line that moves some.
     """
 
     filament: dict[int | None, float]
@@ -549,18 +549,19 @@ class Extrusion:
 def read_gcode(text: str, board: BoardSpec | None = None, signals: Sequence[float] = ()) -> Extrusion:
     """Extrusion of a program as `gcode` writes it, by the clock of a board whose waits end at `signals` [s] or later.
 
-    Raises InputError with the line of anything else: relative filament and a tool are asked for before filament moves,
-    temperatures are waited for only before time has passed, and only the last block of a bead is repeated.
+    Raises InputError, with the line number, for anything else: relative filament (M83) and a tool must be selected
+    before filament moves, temperatures may be waited for only before any time has passed, and only the last block of a
+    bead may be repeated.
     """
     state = _Reading(board)
     raw = text.splitlines()
     for statement in GRAMMAR.statements(raw):
         indented = raw[statement.line - 1].startswith(" ")
         if indented != (state.repeated in ("repeat", "feed")):
-            raise statement.misplaced("outside of what is repeated" if indented else "where a line is repeated")
+            raise statement.misplaced("outside a repetition" if indented else "within a repetition")
         state.take(statement, signals)
     if state.repeated:
-        raise InputError("it ends where a line is repeated", file=GRAMMAR.file, line=len(raw))
+        raise InputError("it ends within a repetition", file=GRAMMAR.file, line=len(raw))
     return Extrusion(
         state.filament,
         tuple(state.selections),
@@ -573,7 +574,7 @@ def read_gcode(text: str, board: BoardSpec | None = None, signals: Sequence[floa
 
 
 class _Reading:
-    """What has been read so far; `repeated` is the line before within a repetition, or none."""
+    """State of reading; `repeated` is the previous line within a repetition, or empty."""
 
     def __init__(self, board: BoardSpec | None) -> None:
         self.board = board
@@ -591,7 +592,7 @@ class _Reading:
         self._fed = 0.0
 
     def take(self, statement: Statement, signals: Sequence[float]) -> None:
-        """One line more."""
+        """Read one more line."""
         word, parts = statement.word, statement.parts
         if word == "begin":
             self.begin.append(statement.text)
@@ -602,7 +603,7 @@ class _Reading:
         elif self.repeated:
             self._repeat(statement)
         elif word == "wait" and self.now > 0.0:
-            raise statement.error(f"{statement.text!r} would lose the robot, which waits by time")
+            raise statement.error(f"{statement.text!r} would put it out of step with the robot, which waits by time")
         elif word in ("wait", "order"):
             for command in commands_in(statement.text):
                 if not command.startswith(PAUSE):
@@ -624,9 +625,9 @@ class _Reading:
         self._done = word == "done"
 
     def _repeat(self, statement: Statement) -> None:
-        """A line that is repeated: filament, and the wait until it has moved; once by the plan."""
+        """A repeated line: filament, or the wait until it has moved; the plan has it once."""
         if statement.word != {"repeat": "feed", "feed": "done"}[self.repeated]:
-            raise statement.misplaced("where a line is repeated")
+            raise statement.misplaced("within a repetition")
         if statement.word == "feed":
             self._feed(statement)
         self.repeated = {"feed": "feed", "done": ""}[statement.word]
@@ -636,7 +637,7 @@ class _Reading:
             raise statement.misplaced("before a tool is selected")
         amount, rate = float(statement.parts[0]), float(statement.parts[1]) / 60.0
         if not rate > 0.0:
-            raise statement.error(f"{statement.text!r} takes for ever")
+            raise statement.error(f"{statement.text!r} would never end")
         self.filament[self._tool] = self.filament.get(self._tool, 0.0) + amount * 1e-3
         self._fed += amount * 1e-3
         took = abs(amount) / rate if self.board is None else lasts(self.board, np.array(amount), np.array(rate))
@@ -649,7 +650,7 @@ class _Reading:
         code, number, on = f"M{parts[0]}", int(parts[1]), parts[2] == "1"
         longest = None
         if self._loop is not None:
-            longest = self._loop[1] * self._took if self._loop[0] == number else np.inf  # another input is looked at
+            longest = self._loop[1] * self._took if self._loop[0] == number else np.inf  # it checks another input
         self.steps.append(BoardStep(code, number, on, self.now, self._fed, longest))
         if len(self.steps) <= len(signals):
             self.now = max(self.now, signals[len(self.steps) - 1])
@@ -657,7 +658,7 @@ class _Reading:
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of the program from the plan, beyond rounding, in words. InputError for an unknown line."""
+    """Differences of the program from the plan beyond rounding, in words. InputError for an unknown line."""
     t, board = plan.trajectory, plan.problem.program.board
     found_stretches = stretches(plan) if board.sync == "signal" else ()
     signals = [at for each in found_stretches for at in (each.on, each.off)]
@@ -667,16 +668,16 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     planned = [(event.start, tools[event.material]) for event in t.events if event.kind in SELECTING and tools]
     planned = planned if tools else [(0.0, board.first_tool)]
     if [tool for _, tool in planned] != [tool for _, tool in written.selections]:
-        found.append("other tools are selected than the plan's")
+        found.append("it selects tools other than the plan's")
     else:
         late = [abs(at - start) for (at, _), (start, _) in zip(written.selections, planned, strict=True)]
         if not max(late, default=0.0) <= LATE + t.dt:
             found.append(f"a tool is selected {max(late):.3g} s off its time")
     ends = busy_ends(t)
     planned_orders = [(due - _sooner(plan, due, line, signals, ends), line) for due, line in _planned_orders(plan)]
-    found += order_differences(planned_orders, written.orders, LATE + t.dt, "the board is told other things")
+    found += order_differences(planned_orders, written.orders, LATE + t.dt, "the board is sent other orders")
     if written.begin != FIRMWARES[board.firmware].begin:
-        found.append("it does not begin as the board's firmware asks for")
+        found.append("it does not begin as the board's firmware requires")
     found += _out_of_step(plan, found_stretches, written.steps)
     found += _fed_otherwise(plan, found_stretches, written.fed)
     if not abs(written.duration - float(t.t[-1] - t.t[0])) <= LATE + t.dt + (RAMPS if board.from_rest else 0.0):
@@ -685,12 +686,12 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 
 def _fed_otherwise(plan: Plan, planned: Sequence[Stretch], fed: Sequence[tuple[float, float]]) -> list[str]:
-    """Whether filament moves when it is to: as much at each time as the plan's feed has had within `around` of it.
+    """Whether filament moves on time: each total must be within what the plan has fed within `around` of that time.
 
-    A prime may come sooner where the board waits for the robot, see `early`.
+    A prime may come sooner if the board waits for the robot, see `early`.
     """
     if not fed:
-        return []  # too little in all is told by `filament_differences`
+        return []  # `filament_differences` reports too little in total
     t, board = plan.trajectory, plan.problem.program.board
     at, total = np.array(fed).T
     clock, feed = t.t - t.t[0], t.feed - t.feed[0]
@@ -709,11 +710,11 @@ def _fed_otherwise(plan: Plan, planned: Sequence[Stretch], fed: Sequence[tuple[f
     worst = int(np.argmax(off))
     if off[worst] <= AMOUNT:
         return []
-    return [f"at {at[worst]:.3f} s {off[worst] * 1e3:.3g} mm of filament more or less than planned have moved"]
+    return [f"at {at[worst]:.3f} s {off[worst] * 1e3:.3g} mm more or less filament than planned has moved"]
 
 
 def _beyond(clock: Array, feed: Array, at: Array, total: Array, before: float, behind: float) -> Array:
-    """How far (k) [m] totals at some times (k) [s] are outside of what the feed has between so long before and behind them."""
+    """How far (k) [m] totals at times (k) [s] are outside the feed's range `before` to `behind` [s] around them."""
     first = np.searchsorted(clock, at - before, side="left").clip(0, len(clock) - 1)
     last = np.searchsorted(clock, at + behind, side="right").clip(1, len(clock))
     cuts = np.column_stack([first, np.minimum(last, len(clock) - 1)]).ravel()
@@ -726,7 +727,7 @@ def _planned_orders(plan: Plan) -> list[tuple[float, str]]:
 
 
 def _sooner(plan: Plan, due: float, line: str, signals: Sequence[float], ends: Sequence[float]) -> float:
-    """By how much [s] the fan is switched earlier, so that the board is ready when the robot comes."""
+    """By how much [s] the fan is switched earlier, so that the board is ready when the robot arrives."""
     if not _is_fan(plan, line) or not signals or due > signals[-1]:
         return 0.0
     k = int(np.searchsorted(signals, due, side="right"))
@@ -739,28 +740,28 @@ def _out_of_step(plan: Plan, planned: Sequence[Stretch], steps: Sequence[BoardSt
     code = FIRMWARES[board.firmware].wait.split(" ")[0]
     waits = [(code, each.number, on) for each in planned for on in (True, False)]
     if [(step.code, step.number, step.on) for step in steps] != waits:
-        return ["it waits for other signals of the robot than the plan's, or in another order"]
+        return ["it waits for robot signals other than the plan's, or in another order"]
     found, within = [], fed_within(plan, tuple(planned))
     near = LATE + t.dt + (RAMPS if board.from_rest else 0.0)
     behind = NEAR if plan.problem.process.extruder.lag > 0.0 else 0.0
-    # primes and retracts carry what a bead lays in the sample that they share with it
+    # in a sample shared with a bead, a prime or retract also carries the bead's filament
     shared = AMOUNT + 2.0 * float(np.abs(np.diff(laid_filament(t))).max(initial=0.0))
     for k, each in enumerate(planned):
         on, off = steps[2 * k], steps[2 * k + 1]
         if on.ready > each.on + near:
             found.append(f"the board is {on.ready - each.on:.3g} s late for the bead that begins at {each.on:.3f} s")
         if off.ready > each.off + near + behind:
-            found.append(f"the bead that ends at {each.off:.3f} s is laid {off.ready - each.off:.3g} s longer")
+            found.append(f"the bead that ends at {each.off:.3f} s is laid {off.ready - each.off:.3g} s too long")
         if abs(off.filament - within[k]) > shared:
             extra = (off.filament - within[k]) * 1e3
             found.append(f"the bead that begins at {each.on:.3f} s gets {extra:+.3g} mm of filament")
         if off.longest is not None and off.longest > 1.5 * LONGER + 1.1 * SLOWER * (each.off - each.on):
-            found.append(f"the bead that ends at {each.off:.3f} s is laid on for too long, or for another output")
+            found.append(f"the bead that ends at {each.off:.3f} s may be laid too long, or depends on another output")
     return found
 
 
 def filament_differences(plan: Plan, filament: Mapping[int | None, float]) -> list[str]:
-    """Tools that get more or less filament [m] in all than planned; None where none is selected."""
+    """Tools that get more or less filament [m] in total than planned; tool None: no tool is selected."""
     t = plan.trajectory
     planned: dict[int | None, float] = {each.material.tool: each.filament for each in used(plan) if each.beads}
     planned = planned or {plan.problem.program.board.first_tool: float(t.feed[-1] - t.feed[0])}
@@ -775,12 +776,12 @@ def filament_differences(plan: Plan, filament: Mapping[int | None, float]) -> li
 def order_differences(
     planned: Sequence[tuple[float, str | None]], found: Sequence[tuple[float, str]], tolerance: float, others: str
 ) -> list[str]:
-    """Whether a program tells the board the planned lines (time [s], text), within a tolerance [s] of their times.
+    """Whether a program sends the board the planned lines (time [s], text), within a tolerance [s] of their times.
 
-    others: how to begin where it tells others.
+    others: beginning of the message if it sends other lines.
     """
     if [line for _, line in planned] != [line for _, line in found]:
         return [f"{others} than the plan's, or in another order"]
     late = [(abs(at - due), line) for (at, line), (due, _) in zip(found, planned, strict=True)]
     worst, line = max(late, default=(0.0, ""))
-    return [] if worst <= tolerance else [f"{line} is said {worst:.3g} s off its time"]
+    return [] if worst <= tolerance else [f"{line} is sent {worst:.3g} s off its time"]

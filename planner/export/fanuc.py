@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# FANUC's axes and frames (ROS-Industrial, fanuc: URDF files and its coupling of J2 and J3): J3 is the forearm's angle to
-# the floor, whatever J2; J4 to J6 count against ours; the flange's x points up where ours points down; the world's origin
-# is level with J2. W P R are turns about fixed x, y and z.
+# FANUC's axes and frames (ROS-Industrial, fanuc: URDF files and its coupling of J2 and J3): J3 is the forearm's angle
+# to the floor, whatever J2 is; J4 to J6 have the opposite sense to ours; the flange's x points up where ours points
+# down; the world's origin is level with J2. W P R are turns about fixed x, y and z.
 
 FANUC = Convention(
     axes=np.array(
@@ -66,10 +66,10 @@ LETTERS = {"F": AXIS_5_NEGATIVE, "D": BEHIND_LOWER_ARM, "B": BEHIND_AXIS_1}
 
 
 def configs(plan: Plan, moves: Moves) -> list[str]:
-    """CONFIG of the target of each move: flip, elbow, front or back, and the turns of J1, J4 and J6.
+    """CONFIG of each move's target: flip, elbow, front or back, and the turns of J1, J4 and J6.
 
-    As post-processors have it (RoboDK's; visose's Robots): N where J5 is negative; B where the wrist's centre is behind
-    axis 1, and there an elbow that would be up for reaching forwards is called down.
+    As in post-processors (RoboDK's; visose's Robots): N if J5 is negative; B if the wrist centre is behind axis 1,
+    where an elbow that would count as up when reaching forwards is called down.
     """
     branch = plan.trajectory.branch[moves.sample].astype(np.intp)
     axes = FANUC.counted(moves.q[1:, plan.cell.own])[:, [0, 3, 5]]
@@ -82,7 +82,7 @@ def configs(plan: Plan, moves: Moves) -> list[str]:
 
 
 def branch_of(letters: str) -> int:
-    """Branch of the letters of a CONFIG."""
+    """Branch for the letters of a CONFIG."""
     flip, elbow, base = letters.split(" ")
     behind = (elbow == "D") != (base == "B")
     return (flip == "F") * AXIS_5_NEGATIVE + behind * BEHIND_LOWER_ARM + (base == "B") * BEHIND_AXIS_1
@@ -91,19 +91,19 @@ def branch_of(letters: str) -> int:
 # ----------------------------------------------------------------------------------------------------
 # Writer: a program with its positions, or one that calls others.
 #
-# Material is laid by L with CNT100: the next motion begins as this one slows down, and speed is kept. How far corners are
-# rounded then no number says; CR, which has one, is an option. Outputs are switched by DB, on the path. What the program
-# can say of its speed is whole cm/min.
+# Material is laid by L with CNT100: the next motion begins as this one slows down, and speed is kept. No number then
+# says how far corners are rounded; CR, which takes one, is an option. Outputs are switched by DB, on the path. Speeds
+# can only be given in whole cm/min.
 
-LONGEST_NAME = 32  # of 36 that R-30iB takes
+LONGEST_NAME = 32  # R-30iB accepts 36
 LONGEST_REMARK = 32
-MOST_MOVES = 4000  # of a program; some 32,000 lines are said to be the most, and an editor has to show them
-REGISTER = 9  # of frame, tool and the position register that they are set by
-CM_MIN = 6000.0  # cm/min in a m/s
+MOST_MOVES = 4000  # of a program; reportedly limited to some 32,000 lines, and an editor has to show them
+REGISTER = 9  # number of the frame, the tool, and the position register that sets them
+CM_MIN = 6000.0  # cm/min per m/s
 FINE, FLY = "FINE", "CNT100"
 DIGITS = 3  # decimals of mm and degrees
-TICK = 0.01  # s: what waits are written to
-LONGEST_WAIT = 300.0  # s: 327.67 are said to be the most, sixteen bits of ticks, one of them for the sign
+TICK = 0.01  # [s] to which waits are written
+LONGEST_WAIT = 300.0  # [s]; 327.67 is reportedly the most: sixteen bits of ticks, one of them for the sign
 
 
 def write(plan: Plan) -> dict[str, str]:
@@ -128,17 +128,17 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def fanuc_name(name: str) -> str:
-    """Capitals, digits and at most 32 of them, of a problem's name."""
+    """A problem's name in capitals and digits, at most 32 of them."""
     return module_name(name, LONGEST_NAME).upper()
 
 
 def planned_speeds(moves: Moves) -> Array:
-    """Speed (m) [m/s] that each line is written with."""
+    """Speed (m) [m/s] written for each line."""
     return stepped_speeds(moves, 1.0 / CM_MIN)
 
 
 def _text(name: str, lines: list[str], positions: list[str]) -> str:
-    """The file of a program of statements without their numbers."""
+    """The file of a program, from statements without line numbers."""
     numbered_lines = [
         f"{i:4d}:{line if line[:2] in ('J ', 'L ', 'C ') else '  ' + line} ;" for i, line in enumerate(lines, 1)
     ]
@@ -163,7 +163,7 @@ def _text(name: str, lines: list[str], positions: list[str]) -> str:
 
 
 def _remarks(text: str) -> list[str]:
-    """Remarks of one text, ASCII, each no longer than a remark may be."""
+    """A text as ASCII remarks, each no longer than a remark may be."""
     return [f"!{line}" for line in textwrap.wrap(re.sub(r"[^\x20-\x7e]|;", "?", text), LONGEST_REMARK)]
 
 
@@ -186,7 +186,7 @@ def _rests(moves: Moves, i: int) -> list[str]:
 
 
 def _frames(plan: Plan) -> list[str]:
-    """Statements that set tool and frame; a negative number stands in brackets."""
+    """Statements that set tool and frame; negative numbers are in brackets."""
     lines = []
     for register, T in (("UTOOL", FANUC.tool(plan.cell)), ("UFRAME", FANUC.part(plan.cell))):
         values = [*(T[:3, 3] * 1e3), *written(fixed_xyz(T[None, :3, :3])[0], DIGITS)]
@@ -203,7 +203,7 @@ def _joint_target(axes: Array) -> str:
 
 
 def _targets(plan: Plan, moves: Moves) -> list[list[str]]:
-    """The positions of each move, behind its frame and tool: of an arc two."""
+    """The positions of each move, as they follow frame and tool; two for an arc."""
     joints = FANUC.counted(plan.trajectory.q[moves.sample][:, plan.cell.own])
     rows, vias = _rows(moves.targets.position[1:], moves.targets.quat[1:]), _rows(moves.via.position, moves.via.quat)
     length, angle = f"%10.{DIGITS}f  mm", f"%10.{DIGITS}f deg"
@@ -221,14 +221,14 @@ def _targets(plan: Plan, moves: Moves) -> list[list[str]]:
 
 
 def _rows(position: Array, quat: Array) -> list[list[float]]:
-    """X Y Z W P R as they are written [mm, deg]."""
+    """X Y Z W P R as written [mm, deg]."""
     wpr = written(fixed_xyz(to_matrix(quat)), DIGITS)
     out: list[list[float]] = np.column_stack([np.round(position * 1e3, DIGITS) + 0.0, wpr]).tolist()
     return out
 
 
 def _statements(plan: Plan, moves: Moves) -> list[tuple[list[str], str, list[str]]]:
-    """Of each move: statements before it, its own behind the position, and statements after it."""
+    """For each move: statements before it, the rest of its own after the position, and statements after it."""
     bead = plan.trajectory.bead
     outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     speeds = np.round(planned_speeds(moves) * CM_MIN).astype(int).tolist()
@@ -254,7 +254,7 @@ def _body(
     targets: list[list[str]],
     taken: int,
 ) -> tuple[list[str], list[str]]:
-    """Statements of sections, whose positions have the numbers after those that are taken, and those positions."""
+    """Statements of sections, and their positions, numbered after those that are `taken`."""
     lines: list[str] = []
     positions: list[str] = []
     for section in own:
@@ -301,15 +301,14 @@ POSE = re.compile(
     + ", "
     + ", ".join(rf"{axis} = ({NUMBER}) deg" for axis in "WPR")
 )
-Position = tuple[str, ...]  # of a pose: CONFIG's letters, its turns, and six numbers; of joints: six numbers
+Position = tuple[str, ...]  # for a pose: CONFIG's letters, its turns, and six numbers; for joints: six numbers
 _pose = partial(read_pose, of_angles=from_fixed_xyz)
 
 
 def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProgram, list[str]]:
-    """Program of the texts of files by their programs' names, and the CONFIG of its lines and of both points of its
-    arcs, in their order.
+    """Program from texts by program name, and the CONFIG of its lines, and of both points of its arcs, in order.
 
-    Raises InputError with the line for a statement or position that is not known, or that stands where it must not.
+    Raises InputError, with the line, for an unknown or misplaced statement or position.
     """
     bodies: dict[str, list[Statement]] = {}
     places: dict[str, dict[str, Position]] = {}
@@ -325,7 +324,7 @@ def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
             keys = parts[:2] if word == "arc" else parts[:1]
             there = [places[statement.file].get(key, ()) for key in keys]
             if any(len(place) != (6 if word == "point" else 10) for place in there):
-                raise statement.error(f"P[{'] or P['.join(keys)}] is not there, or of the other kind")
+                raise statement.error(f"P[{'] or P['.join(keys)}] is missing, or of the wrong kind")
             how = parts[len(keys) :]
             steps.moves.append(_step(word, how, there))
             said += [] if word == "point" else [_config(place) for place in there]
@@ -338,13 +337,13 @@ def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
         elif word == "register":
             values[parts[0]] = float(parts[1])
         elif steps.moves:
-            raise statement.misplaced("behind the first move")
+            raise statement.misplaced("after the first move")
         elif word == "frame":
             if len(values) != 6:
-                raise statement.error("a frame of a register that is not set")
+                raise statement.error("a frame from a register that has not been set")
             frames[parts[0]] = _pose(values[str(i)] for i in range(1, 7))
         elif parts[0] not in frames:
-            raise statement.error(f"{parts[0]} is chosen and not set")
+            raise statement.error(f"{parts[0]} is selected but not set")
     if len(frames) != 2:
         raise InputError("no tool or frame is set", file=GRAMMAR.file)
     program = read_arm(main, steps, frames["UTOOL"], frames["UFRAME"], forward_of(plan.cell, FANUC), GRAMMAR.file)
@@ -352,7 +351,7 @@ def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
 
 
 def _step(word: str, how: Sequence[str], places: Sequence[Position]) -> ProgramStep:
-    """A move by its word, its speed and termination, and its positions."""
+    """A move from its word, its speed and termination, and its positions."""
     place = places[-1]
     numbers, fine = [float(value) for value in place[-6:]], how[1] == FINE
     if word == "point":
@@ -378,10 +377,12 @@ def _program(text: str, name: str) -> tuple[list[Statement], dict[str, Position]
 
 def _read_statements(text: str, name: str, first: int) -> Iterator[Statement]:
     line = first
-    for k, raw in enumerate(text.replace("\n    :", "\0").splitlines(), 1):  # an arc goes on in a second line
+    for k, raw in enumerate(text.replace("\n    :", "\0").splitlines(), 1):  # an arc continues on a second line
         inner = re.fullmatch(r" *([0-9]+):(.*) ;", raw, re.ASCII)
         if inner is None or int(inner[1]) != k:
-            raise InputError("a line without its number in order, or its semicolon", file=name, line=line)
+            raise InputError(
+                "a line without its semicolon, or whose number is missing or out of order", file=name, line=line
+            )
         said = re.sub(r"[\s\0]+", " ", inner[2]).strip()
         if not said.startswith("!"):
             yield GRAMMAR.statement(said, line, name)
@@ -394,7 +395,7 @@ def _read_positions(text: str, name: str) -> dict[str, Position]:
         said = re.sub(r"\s+", " ", cell).strip()
         match = POSE.fullmatch(said) or JOINTS.fullmatch(said)
         if match is None or match[1] in found:
-            raise InputError(f"unknown position {said[:40]!r}, or one that stands there twice", file=name)
+            raise InputError(f"unknown position {said[:40]!r}, or one that is defined twice", file=name)
         found[match[1]] = match.groups()[1:]
     if text and not text.endswith("};\n"):
         raise InputError("a position that does not end", file=name)
@@ -402,18 +403,18 @@ def _read_positions(text: str, name: str) -> dict[str, Position]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan.
+# Check of a program that was read against the plan.
 
 
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
-    """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
+    """The program in the files, with whatever they leave open taken from the plan. InputError for an unknown line."""
     texts = {file.removesuffix(".ls"): text for file, text in files.items()}
     read, _ = read_fanuc(texts, fanuc_name(plan.name), plan)
     return arm_program(plan, moves_with_arcs(plan), read, FANUC, np.radians(0.51 * 10.0**-DIGITS))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    """Differences of the files from the plan beyond rounding and thinning, in words. InputError for an unknown line."""
     texts = {file.removesuffix(".ls"): text for file, text in files.items()}
     read, said = read_fanuc(texts, fanuc_name(plan.name), plan)
     moves = moves_with_arcs(plan)

@@ -1,4 +1,4 @@
-"""Orientations between targets, and the fewest targets between which interpolation meets all samples."""
+"""Orientations between targets, and the fewest targets whose interpolation meets all samples."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planner.base.arrays import Array, Indices
 
 
 def continuous(quat: Array) -> Array:
-    """Quaternions (n, 4), normalised, each of the sign that lies nearer to its predecessor."""
+    """Quaternions (n, 4), normalised, each with the sign that is nearer to its predecessor."""
     quat = quat / np.linalg.norm(quat, axis=1, keepdims=True)
     flips = np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0.0
     sign = np.concatenate([[1.0], np.cumprod(np.where(flips, -1.0, 1.0))])
@@ -44,15 +44,15 @@ def lerp(values: Array, a: Indices, b: Indices, u: Array) -> Array:
 def angle(a: Array, b: Array) -> Array:
     """Angles (n) between orientations a and b (n, 4) [rad]."""
     sign = np.where(np.einsum("ij,ij->i", a, b) < 0.0, -1.0, 1.0)[:, None]
-    # half the chord on the sphere of quaternions: stays accurate where arccos does not
+    # from half the chord on the quaternion sphere, which stays accurate where arccos does not
     out: Array = 4.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(a - sign * b, axis=1), 0.0, 1.0))
     return out
 
 
 def lean_and_roll(a: Array, b: Array) -> tuple[Array, Array]:
-    """Angle between the z axes of orientations a and b (n, 4), and rotation about them from a to b, without sign (n) [rad].
+    """Angle between the z axes of orientations a and b (n, 4), and unsigned rotation about z from a to b (n) [rad].
 
-    For small angles, up to a degree or so: the parts of the rotation vector across z and along it.
+    For small angles, up to a degree or so: the components of the rotation vector across and along z.
     """
     x0, y0, z0, w0 = a.T
     x1, y1, z1, w1 = b.T
@@ -96,20 +96,20 @@ def to_matrix(quat: Array) -> Array:
 
 # (first, last, k) → how far interpolation between samples first and last misses sample k, in tolerances
 Misfit = Callable[[Indices, Indices, Indices], Array]
-# (first, last) → the worst of that over the samples between them; 0 where there is none
+# (first, last) → the worst of these over the samples in between; 0 if there are none
 Judge = Callable[[Indices, Indices], Array]
 MOST_PARTS = 4
-LANE = 200  # targets that are chosen one after the other; as many lanes as there are go on at the same time
-ENOUGH = 0.95  # misfit of a span that is as good as the longest one
-SHORTER = 0.98  # of what the misfit says of the longest span
-GUESSES = 4  # at the longest span before its bounds are halved
+LANE = 200  # targets chosen one after the other; all lanes advance at the same time
+ENOUGH = 0.95  # a span with at least this misfit (within tolerance) counts as the longest
+SHORTER = 0.98  # × the longest span as estimated from the misfit
+GUESSES = 4  # estimates of the longest span before bisection of its bounds
 
 
 def fewest(kept: Indices, judge: Judge) -> Indices:
-    """As `thin`, with fewer targets, for more work.
+    """Like `thin`, with fewer targets at a higher cost.
 
-    `thin` leaves many spans that fit too well: stretches of some hundreds of them are gone through again, from target to
-    target as far as each reaches.
+    `thin` leaves many spans that fit better than they need to. Lanes of some hundreds of spans are therefore chosen
+    again, each target as far from the previous one as it can be.
     """
     found = thin(kept, judge)
     within = np.arange(len(found)) - np.searchsorted(found, kept)[np.searchsorted(kept, found, side="right") - 1]
@@ -120,13 +120,13 @@ def fewest(kept: Indices, judge: Judge) -> Indices:
 
 
 def _within(lanes: Indices, found: Indices, chosen: NDArray[np.bool_]) -> Indices:
-    """Those of `found` that stand in the chosen lanes."""
+    """The targets of `found` that lie in the chosen lanes."""
     owner = np.clip(np.searchsorted(lanes, found, side="right") - 1, 0, len(chosen) - 1)
     return found[chosen[owner]]
 
 
 def _farthest(lanes: Indices, judge: Judge) -> Indices:
-    """Targets of each lane, each as far from the one before as misfit allows, or nearly."""
+    """Targets of each lane, each as far from the previous one as the misfit allows, or nearly."""
     found = [lanes]
     at, end = lanes[:-1].copy(), lanes[1:]
     fits, misses, tried = at + 1, end + 1, np.zeros(len(at), dtype=np.intp)  # bounds of the longest span's end
@@ -155,7 +155,7 @@ def _farthest(lanes: Indices, judge: Judge) -> Indices:
 
 
 def _balanced(lanes: Indices, found: Indices, judge: Judge) -> Indices:
-    """The same, with what was left over at the end of a lane shared with the span before, where that fits too."""
+    """The same targets, with the last two spans of each lane made equally long where both then fit."""
     last = np.searchsorted(found, lanes[1:])
     last = last[last - np.searchsorted(found, lanes[:-1]) >= 2]
     begin, end = found[last - 2], found[last]
@@ -166,7 +166,7 @@ def _balanced(lanes: Indices, found: Indices, judge: Judge) -> Indices:
 
 
 def by_samples(misfit: Misfit) -> Judge:
-    """A judge of spans by the misfit of each sample within."""
+    """A judge of spans by the misfit of each sample in them."""
 
     def judge(first: Indices, last: Indices) -> Array:
         out = np.zeros(len(first))
@@ -183,10 +183,10 @@ def by_samples(misfit: Misfit) -> Judge:
 
 
 def thin(kept: Indices, judge: Judge) -> Indices:
-    """Sorted sample indices: `kept` (sorted, unique, never dropped) and what must be added to bring misfit to <= 1.
+    """Sorted sample indices: `kept` (sorted, unique, never dropped) and those needed to bring the misfit to <= 1.
 
-    All spans are judged at once, level by level. A span that misses by e tolerances is cut into about sqrt(e)
-    equal parts: this gives few targets in few passes.
+    All spans are judged at once, level by level. A span that misses by e tolerances is cut into about sqrt(e) equal
+    parts, which gives few targets in few passes.
     """
     found = [kept]
     first, last = kept[:-1], kept[1:]

@@ -1,4 +1,4 @@
-"""What a controller will make of a program: speed on beads, distance from the lines, and targets that come too fast for it."""
+"""How a controller will run a program: speed on beads, distance from the lines, and targets that come too fast."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ if TYPE_CHECKING:
     from planner.cell.cell import Cell
     from planner.plan import Trajectory
 
-FORECAST = "forecast.json"  # the file of a results folder
+FORECAST = "forecast.json"  # in a results folder
 FORMAT = "beadwise forecast 1"
-AT_SPEED = 0.02  # of the programmed speed: more slowly is not at speed, as in the plan's own figures
-SECOND = 1.0  # s in which targets are counted
-FINE_TICK = 2e-3  # s between instants at which the arm is looked at: sharp corners lie between a controller's own
-BESIDE = 0.1  # s before and behind a bead, whose lines the tip may be near at its ends
-MANY = 0.001  # of all moves on beads that may be shorter than is warned of: a corner here and there is no trouble
+AT_SPEED = 0.02  # share of the programmed speed by which a tip at speed may be slower, as in the plan's own figures
+SECOND = 1.0  # [s] over which targets are counted
+FINE_TICK = 2e-3  # [s] between instants at which the arm is sampled: sharp corners lie between a controller's own ticks
+BESIDE = 0.1  # [s] before and after a bead in which the tip may come nearest to the bead's ends
+MANY = 0.001  # share of moves on beads that may be too short without a warning: a few corners do no harm
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """What a controller makes of a program, as its model has it (SI units).
+    """How a controller runs a program, according to its model (SI units).
 
-    controller   which one
-    assumed      its model is assumed and not fitted to recordings
+    controller   its name
+    assumed      its model is assumed, not fitted to recordings
     time         of the whole program
-    programmed   mean speed that is programmed on beads; mean, least: predicted; share: of their length at speed
+    programmed   mean programmed speed on beads; mean, least: predicted speeds; share: share of bead length at speed
     off          greatest distance of the executed tip from the programmed path on beads
-    slowest      move on a bead that has the least speed; -1 without beads
-    targets      of the program; laid: moves on beads
-    per_second   targets on beads, on the mean; most: in the second that has most of them
+    slowest      move on a bead with the least speed; -1 without beads
+    targets      number of targets in the program; laid: number of moves on beads
+    per_second   mean rate of targets on beads; most: number in the second with most of them
     closest      least time between two targets on a bead; nearest: the move that takes it, -1 without beads
-    close        how many moves on beads are shorter than is warned of
-    warnings     what is beyond the controller's known limits, in words
-    of_plan      off is from the plan and not from the lines, which are beside it as runs have taught
+    close        number of moves on beads shorter than the warning limit
+    warnings     what exceeds the controller's known limits, in words
+    of_plan      `off` is from the plan rather than from the lines, which were displaced from it by learning from runs
     """
 
     controller: str
@@ -71,7 +71,7 @@ class Forecast:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What is to be expected, a sentence each."""
+        """What to expect, one sentence each."""
         if not self.laid:
             return (f"{self.controller}: {self.targets} moves, none on beads, {self.time:.1f} s",)
         model = ", by an assumed model" if self.assumed else ""
@@ -86,7 +86,7 @@ class Forecast:
 
     @property
     def figures(self) -> dict[str, object]:
-        """The same for forecast.json: numbers by name and unit, and the words."""
+        """The forecast for forecast.json: numbers by name and unit, and the words."""
         return {
             "controller": self.controller,
             "assumed": self.assumed,
@@ -116,9 +116,9 @@ def forecast_json(found: Mapping[str, Forecast]) -> str:
 def forecast(
     program: RobotProgram, cell: Cell, controller: ControllerLimits, planned: Trajectory | None = None
 ) -> Forecast:
-    """What a controller makes of a program. Raises InputError for one that cannot be played.
+    """How a controller runs a program. Raises InputError for a program that cannot be played.
 
-    planned: where the program asks for something else, the motion that is to come of it
+    planned: the intended motion, if the program deliberately commands another one
     """
     played = play(program, cell, controller.motion)
     found = judged(program, played, controller)
@@ -126,7 +126,7 @@ def forecast(
 
 
 def joined(parts: Sequence[Forecast], controller: ControllerLimits) -> Forecast:
-    """The forecast of programs that run one after the other, as one; `slowest` and `nearest` count moves of all."""
+    """One forecast for programs run one after the other; `slowest` and `nearest` count moves over all of them."""
     if len(parts) == 1:
         return parts[0]
     before = np.cumsum([0, *(part.targets for part in parts)]).tolist()
@@ -161,7 +161,7 @@ def joined(parts: Sequence[Forecast], controller: ControllerLimits) -> Forecast:
 def _off(
     program: RobotProgram, played: Played, cell: Cell, controller: ControllerLimits, planned: Trajectory | None
 ) -> float:
-    """Greatest distance [m] of the executed tip from the lines of the beads that it lays, or from their planned paths."""
+    """Greatest distance [m] of the executed tip from the lines of the beads, or from their planned paths."""
     run = executed_run(program, played, controller.motion, max(FINE_TICK, played.duration / MOST_TICKS))
     tip = cell.T_part_nozzle(np.ascontiguousarray(run.q))[:, :3, 3]
     spans, when = laid_spans(played), np.union1d(run.t, played.arrive)  # corners are at targets
@@ -177,12 +177,12 @@ def _off(
 
 
 def _within(t: Array, low: float, high: float) -> slice:
-    """Where increasing times are from low to high, both included."""
+    """Slice of increasing times from low to high, both included."""
     return slice(int(np.searchsorted(t, low, "left")), int(np.searchsorted(t, high, "right")))
 
 
 def close_moves(played: Played, controller: ControllerLimits) -> Flags:
-    """Moves (m) on beads that take less time than is warned of."""
+    """Moves (m) on beads that take less time than the warning limit."""
     m = len(played.target)
     took = np.bincount(played.move, played.phases[:, TIMES].sum(axis=1), minlength=m)
     length = np.bincount(played.move, np.linalg.norm(np.diff(played.position, axis=0), axis=1), minlength=m)
@@ -190,7 +190,7 @@ def close_moves(played: Played, controller: ControllerLimits) -> Flags:
 
 
 def judged(program: RobotProgram, played: Played, controller: ControllerLimits) -> Forecast:
-    """The forecast of a program that was played with the controller's motion, all but how far it is off its lines."""
+    """The forecast of a program played with the controller's motion, without its distance from the lines."""
     laid = laid_moves(played)
     m, count = len(laid), int(laid.sum())
     took = np.bincount(played.move, played.phases[:, TIMES].sum(axis=1), minlength=m)
@@ -230,7 +230,7 @@ def judged(program: RobotProgram, played: Played, controller: ControllerLimits) 
 
 
 def _warned(figures: Forecast, controller: ControllerLimits) -> Forecast:
-    """The same with what is beyond the controller's known limits."""
+    """The forecast, with warnings about the controller's known limits."""
     found = []
     if figures.close > MANY * figures.laid:
         found.append(
@@ -238,9 +238,7 @@ def _warned(figures: Forecast, controller: ControllerLimits) -> Forecast:
             f"({controller.source})"
         )
     if figures.most > controller.most_per_second:
-        found.append(
-            f"{figures.most} targets in a second, and {controller.most_per_second:.0f} are known to be taken in"
-        )
+        found.append(f"{figures.most} targets in a second, and it is known to take in {controller.most_per_second:.0f}")
     if controller.most_targets is not None and figures.targets > controller.most_targets:
         found.append(
             f"{figures.targets} targets in one program, and users report trouble beyond {controller.most_targets}"
@@ -257,11 +255,11 @@ def _without_beads(played: Played, controller: ControllerLimits, targets: int) -
 
 
 def _least(played: Played) -> Array:
-    """Least speed of the tip on each move (m) [m/s], at its ends and between, where it does not rest; inf where it does."""
+    """Least speed of the tip on each move (m) [m/s], at its ends and between, without rests; inf if it only rests."""
     v0, a, begin, _, b, end = played.phases.T
     middle = v0 + a * begin
     v1 = middle + b * end
-    # path is metres of the tip wherever the tip sets the pace
+    # path length is in metres of the tip wherever the tip sets the pace
     slow = np.minimum(np.where(v0 > 0.0, v0, np.inf), np.where(v1 > 1e-9, v1, np.inf))
     slow = np.where(played.length > 0.0, np.minimum(slow, np.where(middle > 0.0, middle, np.inf)), np.inf)
     out = np.full(len(played.target), np.inf)
@@ -270,14 +268,14 @@ def _least(played: Played) -> Array:
 
 
 def _at_speed(program: RobotProgram, played: Played, ways: Indices) -> float:
-    """Share of the length of ways on which the tip is within AT_SPEED of what is programmed."""
+    """Share of the ways' length on which the tip is within AT_SPEED of the programmed speed."""
     v0, a, begin, even, b, end = played.phases[ways].T
     least = (1.0 - AT_SPEED) * program.speed[played.move[ways], 0]
     top = v0 + a * begin
     v1 = top + b * end
     length = played.length[ways]
     with np.errstate(divide="ignore", invalid="ignore"):
-        # of each ramp, the part above `least`: from there to the top, with even acceleration
+        # the part of each ramp above `least`: from there to the top, at constant acceleration
         up = np.where(v0 >= least, begin, np.where(a != 0.0, np.maximum(top - least, 0.0) / np.abs(a), 0.0))
         down = np.where(v1 >= least, end, np.where(b != 0.0, np.maximum(top - least, 0.0) / np.abs(b), 0.0))
     fast = np.where(top >= least, 0.5 * (np.maximum(v0, least) + top) * up, 0.0) + np.where(
@@ -288,5 +286,5 @@ def _at_speed(program: RobotProgram, played: Played, ways: Indices) -> float:
 
 
 def _most(arrive: Array) -> int:
-    """Most of the times (k), ascending, that lie within one second."""
+    """Greatest number of the times (k), ascending, within one second."""
     return int((np.searchsorted(arrive, arrive + SECOND, side="left") - np.arange(len(arrive))).max(initial=0))

@@ -1,4 +1,4 @@
-"""When a board waits for the robot: stretches for which the output of an extruder is on, and what is due before one."""
+"""How a board waits for the robot: stretches in which an extruder's output is on, and what must be done before them."""
 
 from __future__ import annotations
 
@@ -17,20 +17,18 @@ from planner.plan.plan import filament_areas, materials_of
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
 
-SEEN = (
-    0.05  # s for which an output must be off to be waited for: boards look at their inputs some hundred times a second
-)
-NEAR = 0.024  # s by which pressure is built up before a bead, and let off behind it, at most (motion.extrusion)
-# A prime has ended, and the fan is switched, a little before the robot is due: no controller is ahead of its program by
-# more than what zones cut off. By so much more a prime comes early.
-READY, SHARE = 0.02, 0.02  # s, and of the time since what came before
+SEEN = 0.05  # [s] that an output must be off to be waited for: boards check their inputs some hundred times a second
+NEAR = 0.024  # [s] at most in which pressure builds up before a bead, and is let off after it (motion.extrusion)
+# A prime ends, and the fan is switched, a little before the robot is due: enough for a controller that is ahead of its
+# program, which it can be by no more than the zones cut off.
+READY, SHARE = 0.02, 0.02  # [s], plus this share of the time since the board was last busy
 
-HOME = ("heat", "purge", "change", "pause", "cool", "select", "retract")  # events that a prime does not move before
+HOME = ("heat", "purge", "change", "pause", "cool", "select", "retract")  # events that a prime never moves ahead of
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """From when to when [s after the trajectory's start] an output is on, its signal and the board's input for it."""
+    """When [s after the trajectory's start] an output goes on and off, its signal, and the board's input for it."""
 
     on: float
     off: float
@@ -39,7 +37,7 @@ class Stretch:
 
 
 def stretches(plan: Plan) -> tuple[Stretch, ...]:
-    """All of a plan, in order of time; those between which an output is off too shortly to be seen are one."""
+    """All stretches of a plan in order of time; joined where the output between them is off too briefly to be seen."""
     t, program = plan.trajectory, plan.problem.program
     signals = [each.signal for each in materials_of(plan.problem)] or [program.extruder_signal]
     own = by_bead(plan, signals)
@@ -55,9 +53,9 @@ def stretches(plan: Plan) -> tuple[Stretch, ...]:
 
 
 def busy_ends(t: Trajectory) -> list[float]:
-    """When [s after the trajectory's start] beads and the events end that a prime does not move before, in order.
+    """When [s after the trajectory's start] beads, and the events that a prime never moves ahead of, end; in order.
 
-    Of a bead of fibre the output goes off at its cut already: behind that the rest of it is drawn.
+    A bead of fibre ends later than its output goes off, which is at the cut: the rest of the fibre is still drawn.
     """
     begin = float(t.t[0])
     beads = (t.t[np.flatnonzero(np.diff(t.deposit.astype(np.int8)) < 0)] - begin).tolist()
@@ -65,9 +63,9 @@ def busy_ends(t: Trajectory) -> list[float]:
 
 
 def early(ends: Sequence[float], at: float, since: float) -> float:
-    """By how much [s] what is due `at` a time before a bead comes earlier; the output went off at time `since`.
+    """How much earlier [s] than `at` a prime or fan order before a bead comes; the output went off at `since`.
 
-    ends: as `busy_ends` has them
+    ends: as from `busy_ends`
     """
     gone = bisect_right(ends, at)
     free = max([since, *ends[gone - 1 : gone]])
@@ -75,13 +73,13 @@ def early(ends: Sequence[float], at: float, since: float) -> float:
 
 
 def laid_filament(trajectory: Trajectory) -> Array:
-    """Filament (n) [m] that was fed until each sample, without what events move: primes, retracts and purges."""
+    """Filament (n) [m] fed up to each sample, excluding events: primes, retracts and purges."""
     moving = [event for event in trajectory.events if event.amount != 0.0]
     return trajectory.feed - trajectory.feed[0] - passed(trajectory.t, moving, [event.amount for event in moving])
 
 
 def without_lag(plan: Plan) -> Array:
-    """Filament (n - 1) [m] of what is laid in each sample, which the motor would feed there if flow followed at once."""
+    """Filament (n - 1) [m] laid in each sample: what the motor would feed there if the flow followed at once."""
     t = plan.trajectory
     area = np.broadcast_to(np.asarray(filament_areas(plan.problem, t.events, t.t)), t.t.shape)[1:]
     out: Array = np.diff(t.extruded) / np.where(area > 0.0, area, np.inf)
@@ -89,7 +87,7 @@ def without_lag(plan: Plan) -> Array:
 
 
 def fed_within(plan: Plan, found: tuple[Stretch, ...]) -> Array:
-    """Filament (k) [m] that beads take in each stretch, with the pressure that is built up before and let off behind it."""
+    """Filament (k) [m] of each stretch, with what builds up pressure just before it and lets it off just after it."""
     t = plan.trajectory
     at, laid = t.t - t.t[0], laid_filament(t)
     events = [

@@ -41,17 +41,18 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# Yaskawa's axes and frames (ROS-Industrial, motoman: URDF files): S and L count as ours do, U, R, B and T against; the
-# flange's x points up where ours points down; the robot's origin is level with L. Rx Ry Rz are about fixed x, y and z.
+# Yaskawa's axes and frames (ROS-Industrial, motoman: URDF files): S and L have the same sense as ours, U, R, B and T
+# the opposite; the flange's x points up where ours points down; the robot's origin is level with L. Rx Ry Rz are turns
+# about fixed x, y and z.
 
 YASKAWA = Convention(axes=signed(1.0, 1.0, -1.0, -1.0, -1.0, -1.0), offset=np.zeros(6), flange=np.pi, shoulder=True)
 
 
 def configs(plan: Plan, moves: Moves) -> list[str]:
-    """RCONF of the target of each move: 1 for no flip, a lower elbow, back, and R, T or S beyond half a turn.
+    """RCONF of each move's target: 1 for no flip, a lower elbow, back, and R, T or S beyond half a turn.
 
-    No flip is a B that is negative; where the wrist's centre is behind S, an elbow that would be up for reaching forwards
-    is a lower one.
+    No flip means that B is negative. Where the wrist centre is behind S, an elbow that would count as up when reaching
+    forwards is a lower one.
     """
     branch = plan.trajectory.branch[moves.sample].astype(np.intp)
     flip, below, back = (branch & bit > 0 for bit in (AXIS_5_NEGATIVE, BEHIND_LOWER_ARM, BEHIND_AXIS_1))
@@ -61,7 +62,7 @@ def configs(plan: Plan, moves: Moves) -> list[str]:
 
 
 def branch_of(config: str) -> int:
-    """Branch of an RCONF."""
+    """Branch for an RCONF."""
     no_flip, lower, back = (value == "1" for value in config.split(",")[:3])
     return (not no_flip) * AXIS_5_NEGATIVE + (lower != back) * BEHIND_LOWER_ARM + back * BEHIND_AXIS_1
 
@@ -69,20 +70,20 @@ def branch_of(config: str) -> int:
 # ----------------------------------------------------------------------------------------------------
 # Writer: a relative job with its positions, or one that calls others.
 #
-# Travel goes to angles (POSTYPE ANGLE), which leaves no doubt about the posture and needs no pulses of the robot; lines go
-# to poses in the user frame. A job cannot set frames without an option, so tool and user frame stand in its comments, which
-# are read back as well. There are no arcs: MOVC goes through three points and more, and how a row of arcs is told apart is
-# not public. A move without PL goes on at once, and corners are rounded by the servos' lag; PL=0 stops.
+# Travel goes to angles (POSTYPE ANGLE), which define the posture without the robot's pulses; lines go to poses in the
+# user frame. A job cannot set frames without an option, so tool and user frame are given in its comments, which are
+# read back as well. There are no arcs: MOVC passes through three or more points, and how consecutive arcs are separated
+# is not public. A move without PL continues at once, and corners are rounded by the servos' lag; PL=0 stops.
 
 LONGEST_NAME = 24  # of 32 characters
 LONGEST_COMMENT = 31
-MOST_MOVES = 2000  # of a job; an editor has to show them, and jobs are said to end at 10,000 lines
+MOST_MOVES = 2000  # of a job; an editor has to show them, and jobs are reportedly limited to 10,000 lines
 TOOL, USER = 1, 1
 FRAME = ("X", "Y", "Z", "RX", "RY", "RZ")
 MM, DEGREES = 3, 4  # decimals
 SPEED = 1  # decimals of mm/s
-TICK = 0.01  # s: what waits are written to
-LONGEST_WAIT = 600.0  # s: 655.35 are said to be the most, sixteen bits of ticks
+TICK = 0.01  # [s] to which waits are written
+LONGEST_WAIT = 600.0  # [s]; 655.35 is reportedly the most: sixteen bits of ticks
 
 
 def write(plan: Plan) -> dict[str, str]:
@@ -106,12 +107,12 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def job_name(name: str) -> str:
-    """Capitals and digits of a problem's name."""
+    """A problem's name in capitals and digits."""
     return module_name(name, LONGEST_NAME).upper()
 
 
 def planned_speeds(moves: Moves) -> Array:
-    """Speed (m) [m/s] that each line is written with."""
+    """Speed (m) [m/s] written for each line."""
     return stepped_speeds(moves, 1e-3 * 10.0**-SPEED)
 
 
@@ -170,7 +171,7 @@ def _header(plan: Plan) -> list[str]:
 
 
 def frame_comments(what: str, T: Array) -> list[str]:
-    """A frame (4, 4) as it is entered at the controller, a number in each line: a comment is too short for three."""
+    """A frame (4, 4) as entered at the controller, one number per line: a comment is too short for three."""
     values = [*(T[:3, 3] * 1e3), *written(fixed_xyz(T[None, :3, :3])[0], DEGREES)]
     decimals = [MM] * 3 + [DEGREES] * 3
     return [f"'{what} {axis} {number(value, d)}" for axis, value, d in zip(FRAME, values, decimals, strict=True)]
@@ -201,7 +202,7 @@ def _targets(plan: Plan, moves: Moves) -> list[Target]:
 
 
 def _statements(plan: Plan, moves: Moves) -> list[tuple[list[str], str, list[str]]]:
-    """Of each move: statements before it, its own behind the position, and statements after it."""
+    """For each move: statements before it, the rest of its own after the position, and statements after it."""
     bead = plan.trajectory.bead
     outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     speeds, shares = (planned_speeds(moves) * 1e3).tolist(), percent(plan, moves)
@@ -224,7 +225,7 @@ def _body(
     targets: list[Target],
     taken: int,
 ) -> tuple[list[str], list[Target]]:
-    """Statements of sections, whose positions have the numbers after those that are taken, and those positions."""
+    """Statements of sections, and their positions, numbered after those that are `taken`."""
     lines: list[str] = []
     positions: list[Target] = []
     for section in own:
@@ -270,9 +271,9 @@ JOB = Grammar.of(
 
 
 def read_inform(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProgram, list[str]]:
-    """Program of the texts of jobs by their names, and the RCONF of its lines, in their order.
+    """Program from the texts of jobs by name, and the RCONF of its lines, in order.
 
-    Raises InputError with the line for a statement or position that is not known, or that stands where it must not.
+    Raises InputError, with the line, for an unknown or misplaced statement or position.
     """
     bodies: dict[str, list[Statement]] = {}
     places: dict[str, list[Target]] = {}
@@ -287,7 +288,7 @@ def read_inform(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmPro
         if word in ("line", "point"):
             there, k = places[statement.file], int(parts[0])
             if not k < len(there) or there[k][0] != (word == "line"):
-                raise statement.error(f"C{parts[0]} is not there, or of the other kind")
+                raise statement.error(f"C{parts[0]} is missing, or of the wrong kind")
             numbers = [float(value) for value in there[k][2].split(",")]
             if word == "line":
                 said.append(there[k][1])
@@ -300,11 +301,11 @@ def read_inform(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmPro
         elif word == "wait":
             steps.wait(float(parts[0]))
         elif steps.moves or parts[0] + parts[1] in frames:
-            raise statement.misplaced("behind the first move, or twice")
+            raise statement.misplaced("after the first move, or twice")
         else:
             frames[parts[0] + parts[1]] = float(parts[2])
     if set(frames) != {what + axis for what in ("TOOL", "USER") for axis in FRAME}:
-        raise InputError("no tool or user frame is told", file=JOB.file)
+        raise InputError("no tool or user frame is given", file=JOB.file)
     tool, part = (read_pose([frames[what + axis] for axis in FRAME], from_fixed_xyz) for what in ("TOOL", "USER"))
     return read_arm(main, steps, tool, part, forward_of(plan.cell, YASKAWA), JOB.file), said
 
@@ -335,7 +336,7 @@ def _read_positions(text: str, first: int, name: str) -> Iterator[Target]:
             linear = state.get("kind") == "RECTAN"
             whole = {"tool", "type", "kind"} | ({"user", "config"} if linear else set())
             if not whole <= set(state) or (state["type"] == "USER") != linear or int(parts[0]) != k:
-                raise statement.error("a position out of its order, or without tool, frame, kind or RCONF")
+                raise statement.error("a position out of order, or without tool, frame, kind or RCONF")
             k += 1
             yield linear, state["config"] if linear else "", parts[1]
         else:
@@ -345,18 +346,18 @@ def _read_positions(text: str, first: int, name: str) -> Iterator[Target]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan.
+# Check of a program that was read against the plan.
 
 
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
-    """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
+    """The program in the files, with whatever they leave open taken from the plan. InputError for an unknown line."""
     texts = {file.removesuffix(".JBI"): text for file, text in files.items()}
     read, _ = read_inform(texts, job_name(plan.name), plan)
     return arm_program(plan, moves_of_lines(plan), read, YASKAWA, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of the jobs from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    """Differences of the jobs from the plan beyond rounding and thinning, in words. InputError for an unknown line."""
     texts = {file.removesuffix(".JBI"): text for file, text in files.items()}
     read, said = read_inform(texts, job_name(plan.name), plan)
     moves = moves_of_lines(plan)

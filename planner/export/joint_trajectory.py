@@ -52,12 +52,12 @@ def planned_switches(plan: Plan) -> tuple[Switch, ...]:
 # ----------------------------------------------------------------------------------------------------
 # The fewest points whose quintic splines repeat the planned joints.
 #
-# Of a point with position, velocity and acceleration, ROS's joint_trajectory_controller makes a polynomial of degree 5 to
-# the next one (ros2_controllers, "Trajectory Representation"), so that is what the points are chosen for.
+# Between points with position, velocity and acceleration, ROS's joint_trajectory_controller interpolates by polynomials
+# of degree 5 (ros2_controllers, "Trajectory Representation"), and the points are chosen accordingly.
 
 FARTHEST = 64  # samples between two points, at most: where thinning starts
-VELOCITY_SHARE = 0.005  # of a joint's limit, by which the splines may miss the planned velocity
-ACCELERATION_SHARE = 0.05  # likewise; where jerk jumps, samples tell the acceleration no better
+VELOCITY_SHARE = 0.005  # share of a joint's limit by which the splines may miss the planned velocity
+ACCELERATION_SHARE = 0.05  # likewise; where jerk jumps, samples do not give the acceleration any better
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class SplineKnots:
 
 
 def derived(plan: Plan) -> SplineKnots:
-    """Every sample as a point; velocity and acceleration are those of the cubic spline through all, from rest to rest."""
+    """Every sample as a point, with velocity and acceleration of the cubic spline through all, from rest to rest."""
     trajectory = plan.trajectory
     time = trajectory.t - trajectory.t[0]
     spline = CubicSpline(time, trajectory.q, bc_type="clamped")
@@ -105,7 +105,7 @@ def plan_knots(plan: Plan) -> SplineKnots:
 
 
 class Nozzle:
-    """How far postures hold the nozzle from where the samples of a plan have it."""
+    """How far postures hold the nozzle from its pose at a plan's samples."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -114,7 +114,7 @@ class Nozzle:
 
     @property
     def begins(self) -> tuple[int, ...]:
-        """Samples from which on one of several nozzles is in use."""
+        """Samples at which the use of each of several nozzles begins."""
         return tuple(rows.start for _, rows in self._in_use)
 
     def misses(self, q: Array, k: Indices) -> tuple[Array, Array]:
@@ -129,7 +129,7 @@ class Nozzle:
         return off, 2.0 * np.arcsin(np.minimum(chord / np.sqrt(8.0), 1.0))
 
     def misfit(self, q: Array, k: Indices) -> Array:
-        """The worse of both, in tolerances."""
+        """The worse of distance and angle (m), in tolerances."""
         off, turned = self.misses(q, k)
         chord = self._plan.problem.program.chord
         allowed = np.where(self._plan.trajectory.deposit[k], chord - ROUNDING, run_tolerance(chord))
@@ -141,7 +141,7 @@ def quintic(a: SplineKnots, b: SplineKnots, time: Array) -> tuple[Array, Array, 
     """Position, velocity and acceleration (m, nj) at times (m) between points a (m) and b (m)."""
     h = (b.time - a.time)[:, None]
     u = (time - a.time)[:, None] / h
-    # Taylor's polynomial from a, and three terms more that end in b's state; the remainders r are in units of position
+    # the Taylor polynomial from a, plus three terms that reach b's state; the remainders r are in units of position
     r0 = b.q - a.q - h * a.velocity - 0.5 * h**2 * a.acceleration
     r1 = h * (b.velocity - a.velocity) - h**2 * a.acceleration
     r2 = h**2 * (b.acceleration - a.acceleration)
@@ -164,10 +164,10 @@ def at_times(knots: SplineKnots, time: Array) -> tuple[Array, Array, Array]:
 # ----------------------------------------------------------------------------------------------------
 # Writer: two JSON files, the message and the switching of the extruders.
 #
-# The message holds the whole print in one, since it may stop nowhere within a bead and travel between beads is timed as
-# well. Its times count from the robot's first motion, as those of the extruder's G-code do.
+# One message holds the whole print, as it must not stop within a bead and travel between beads is timed as well. Its
+# times count from the robot's first motion, as do those of the extruder's G-code.
 
-# decimals of rad, rad/s and rad/s^2: at 1 m a ten-millionth of a radian is 0.1 micrometres
+# decimals of rad, rad/s and rad/s^2; at 1 m a ten-millionth of a radian is 0.1 micrometres
 DECIMALS = {"positions": 7, "velocities": 6, "accelerations": 5}
 NANO = 1_000_000_000
 
@@ -183,12 +183,12 @@ def switches_name(plan: Plan) -> str:
 
 
 def joint_trajectory(plan: Plan) -> str:
-    """JSON of the message, a line for each point."""
+    """JSON of the message, one line per point."""
     return message(plan.cell.joint_names, plan_knots(plan))
 
 
 def message(joint_names: Sequence[str], knots: SplineKnots) -> str:
-    """JSON of the message with these points, a line for each."""
+    """JSON of the message with these points, one line for each."""
     columns = zip(
         np.round(knots.q, DECIMALS["positions"]).tolist(),
         np.round(knots.velocity, DECIMALS["velocities"]).tolist(),
@@ -208,7 +208,7 @@ def message(joint_names: Sequence[str], knots: SplineKnots) -> str:
         )
         for q, v, a, t in columns
     ]
-    # a stamp of nought: start at once, as soon as the message comes
+    # a zero stamp: start as soon as the message arrives
     head = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     return (
         f'{{"header":{_line(head)},\n"joint_names":{_line(list(joint_names))},\n"points":[\n'
@@ -223,7 +223,7 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def switches(plan: Plan) -> str:
-    """JSON of the times at which the output of each bead's extruder goes on and off, and of the axes that are held."""
+    """JSON of the times at which each bead's extruder output goes on and off, and of the held axes."""
     lines = [
         _line({"time_from_start": _duration(each.time), "output": each.output, "value": each.value, "bead": each.bead})
         for each in planned_switches(plan)
@@ -245,7 +245,7 @@ def _unsigned_noughts(values: list[float]) -> list[float]:
 
 
 def _duration(seconds: float) -> dict[str, int]:
-    """builtin_interfaces/Duration."""
+    """A builtin_interfaces/Duration."""
     sec, nanosec = divmod(round(seconds * NANO), NANO)
     return {"sec": sec, "nanosec": nanosec}
 
@@ -255,7 +255,7 @@ def _duration(seconds: float) -> dict[str, int]:
 
 LONGEST_FILE = 1_000_000_000  # characters; 180,000 points of eight joints have some 70 million
 MOST_JOINTS = 32
-LONGEST_WHOLE = 19  # digits; what 64 bits hold
+LONGEST_WHOLE = 19  # digits; as many as 64 bits hold
 LONGEST_SECONDS = 2**31 - 1  # builtin_interfaces/Duration counts them with 32 bits
 
 POINT = ("positions", "velocities", "accelerations", "effort", "time_from_start")
@@ -271,7 +271,7 @@ class JointTrajectory:
 
 
 def read_joint_trajectory(text: str) -> JointTrajectory:
-    """The message of a JSON text. Raises InputError, with the field, for whatever is not as ROS defines it."""
+    """The message in a JSON text. Raises InputError, with the field, for anything that is not as ROS defines it."""
     reader = _Reader("JointTrajectory")
     message = reader.fields(reader.load(text), "the message", ("header", "joint_names", "points"))
     header = reader.fields(message["header"], "header", ("stamp", "frame_id"))
@@ -280,7 +280,7 @@ def read_joint_trajectory(text: str) -> JointTrajectory:
         raise reader.error("header.frame_id", "must be a text")
     names = reader.items(message["joint_names"], "joint_names")
     if not all(isinstance(name, str) and name for name in names) or len(set(names)) != len(names):
-        raise reader.error("joint_names", "must be names, each once")
+        raise reader.error("joint_names", "must be unique names")
     if not 0 < len(names) <= MOST_JOINTS:
         raise reader.error("joint_names", f"must be 1 to {MOST_JOINTS} joints")
     rows: dict[str, list[list[float]]] = {name: [] for name in POINT[:3]}
@@ -292,14 +292,14 @@ def read_joint_trajectory(text: str) -> JointTrajectory:
         reader.numbers(point["effort"], f"points.{i}.effort", 0)
         times.append(reader.duration(point["time_from_start"], f"points.{i}.time_from_start"))
         if i and not times[-2] < times[-1]:
-            raise reader.error(f"points.{i}.time_from_start", "must be later than the point before")
+            raise reader.error(f"points.{i}.time_from_start", "must be later than that of the point before")
     if len(times) < 2:
         raise reader.error("points", "must be two or more")
     return JointTrajectory(tuple(names), SplineKnots(np.array(times), *(np.array(table) for table in rows.values())))
 
 
 def read_switches(text: str) -> tuple[tuple[Switch, ...], dict[str, float]]:
-    """Switching of the extruders, and the axes that are held [rad, m]. Raises InputError for whatever is not known."""
+    """Switching of the extruders, and the held axes [rad, m]. Raises InputError for anything unknown."""
     reader = _Reader("extruder")
     data = reader.fields(reader.load(text), "the file", ("held", "events"))
     if not isinstance(data["held"], dict):
@@ -333,7 +333,7 @@ class _Reader:
             raise self.error("the file", "is nested too deeply") from None
 
     def _constant(self, name: str) -> float:
-        raise self.error("the file", f"{name} is not a number of JSON")
+        raise self.error("the file", f"{name} is not a JSON number")
 
     def _whole(self, digits: str) -> int:
         if len(digits) > LONGEST_WHOLE:
@@ -343,7 +343,7 @@ class _Reader:
     def _once(self, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
         if len(found) != len(pairs):
-            raise self.error("the file", "a field stands there twice")
+            raise self.error("the file", "a field occurs twice")
         return found
 
     def fields(self, value: Any, field: str, names: tuple[str, ...]) -> dict[str, Any]:
@@ -366,7 +366,7 @@ class _Reader:
         return items
 
     def duration(self, value: Any, field: str) -> float:
-        """Seconds of a builtin_interfaces/Duration that is not negative."""
+        """Seconds in a builtin_interfaces/Duration, which must not be negative."""
         parts = self.fields(value, field, ("sec", "nanosec"))
         sec, nanosec = parts["sec"], parts["nanosec"]
         if type(sec) is not int or type(nanosec) is not int:
@@ -377,20 +377,20 @@ class _Reader:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan, between its points as well.
+# Check of a message that was read against the plan, also between its points.
 
 BLOCK = 20_000  # samples compared at once: bounds the memory
-ON_TIME = 1e-6  # s
-# What the splines may differ by: what thinning allows (`knots`), and rounding.
-OFF = 0.01e-3  # m, beyond the chord tolerance, where material is laid
-OFF_IN_TRAVEL = 0.3e-3  # m
+ON_TIME = 1e-6  # [s]
+# How much the splines may differ: by what thinning (`plan_knots`) and rounding allow.
+OFF = 0.01e-3  # [m] beyond the chord tolerance, where material is laid
+OFF_IN_TRAVEL = 0.3e-3  # [m]
 TURNED = np.radians(0.06)  # nozzle and joints
-CHECKED_VELOCITY_SHARE = 0.01  # of a joint's limit
+CHECKED_VELOCITY_SHARE = 0.01  # share of a joint's limit
 CHECKED_ACCELERATION_SHARE = 0.06
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for unknown fields."""
+    """Differences of both files from the plan beyond rounding and thinning, in words. InputError for unknown fields."""
     found, held = read_switches(files[switches_name(plan)])
     return [
         *_motion(plan, read_joint_trajectory(files[trajectory_name(plan)])),
@@ -400,7 +400,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 def _motion(plan: Plan, read: JointTrajectory) -> list[str]:
     if read.joint_names != plan.cell.joint_names:
-        return [f"joints are {', '.join(read.joint_names)} and not {', '.join(plan.cell.joint_names)}"]
+        return [f"joints are {', '.join(read.joint_names)}, not {', '.join(plan.cell.joint_names)}"]
     dense, knots = derived(plan), read.knots
     if abs(knots.time[0]) > ON_TIME or abs(knots.time[-1] - dense.time[-1]) > ON_TIME:
         return [f"it takes from {knots.time[0]:.6f} to {knots.time[-1]:.6f} s, not from 0 to {dense.time[-1]:.6f} s"]
@@ -442,5 +442,5 @@ def _switching(plan: Plan, found: tuple[Switch, ...], held: Mapping[str, float])
         elif abs(one.time - other.time) > ON_TIME:
             differences.append(f"output {other.output} of bead {other.bead} is switched at {one.time:.6f} s")
     if dict(held) != _held(plan):
-        differences.append("other axes are held, or elsewhere")
+        differences.append("other axes are held, or at other positions")
     return differences

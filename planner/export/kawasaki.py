@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# Kawasaki's axes and frames (its own URDF files, khi_robot): at zero the arm stands straight up and looks along +y of the
-# base frame, whose origin is at the foot; JT1, JT3 and JT5 count against ours; the flange's frame is the base's there.
-# O A T are turns about z, the new y and the new z.
+# Kawasaki's axes and frames (its own URDF files, khi_robot): at zero the arm is straight up and faces +y of the base
+# frame, whose origin is at the foot, and the flange's frame is parallel to the base's. JT1, JT3 and JT5 have the
+# opposite sense to ours. O A T are turns about z, the new y and the new z.
 
 KAWASAKI = Convention(
     axes=signed(-1.0, 1.0, -1.0, 1.0, -1.0, 1.0),
@@ -49,11 +49,11 @@ KAWASAKI = Convention(
 )
 
 # ----------------------------------------------------------------------------------------------------
-# Writer: one file with a main program, and one for each stretch of beads.
+# Writer: one file with a main program, and one program for each stretch of beads.
 #
-# Targets stand inline. Speed and accuracy, the distance at which the next motion begins, hold until they are set anew.
-# BREAK stands where the arm comes to rest. With PREFETCH.SIGINS off a signal is switched when its pose is reached; BASE is
-# the part's frame while the program runs.
+# Targets are inline. Speed and accuracy, the distance at which the next motion begins, hold until they are set again.
+# BREAK marks where the arm comes to rest. With PREFETCH.SIGINS off, a signal is switched when its pose is reached. BASE
+# is the part's frame while the program runs.
 
 LONGEST_NAME = 15
 MOST_MOVES = 2000  # of a program
@@ -61,12 +61,12 @@ MARK = ";"
 WAIT = "TWAIT {:.3f}"
 MM, DEGREES = 3, 4  # decimals
 SPEED = 2  # decimals of mm/s
-STEPS = 100.0  # of accuracy in a mm
+STEPS = 100.0  # of accuracy, per mm
 BEGIN = ("CP ON", "PREFETCH.SIGINS OFF", "ABS.SPEED ON")
 
 
 def as_name(name: str) -> str:
-    """Small letters and digits, at most 15 of them, of a problem's name."""
+    """A problem's name in lower-case letters and digits, at most 15 of them."""
     return module_name(name, LONGEST_NAME).lower()
 
 
@@ -100,7 +100,7 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def planned_speeds(moves: Moves) -> Array:
-    """Speed (m) [m/s] that each line is written with."""
+    """Speed (m) [m/s] written for each line."""
     return stepped_speeds(moves, 1e-3 * 10.0**-SPEED)
 
 
@@ -139,7 +139,7 @@ def _joints(axes: Array) -> list[str]:
 
 
 def _targets(plan: Plan, moves: Moves) -> list[list[str]]:
-    """The statements of each move: of an arc two."""
+    """The statements of each move; two for an arc."""
     joints = _joints(KAWASAKI.counted(plan.trajectory.q[moves.sample][:, plan.cell.own]))
     lines = _poses(moves.targets.position[1:], to_matrix(moves.targets.quat[1:]))
     vias = _poses(moves.via.position, to_matrix(moves.via.quat))
@@ -208,24 +208,24 @@ _read_pose = partial(read_pose, of_angles=from_turning_zyz)
 
 
 def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
-    """Program of AS text as `write` writes it.
+    """Program from AS text as `write` writes it.
 
-    Raises InputError with the line for a statement or name that is not known, or that stands where it must not.
+    Raises InputError, with the line, for an unknown or misplaced statement or name.
     """
     bodies = GRAMMAR.bodies(text, "no complete program")
     main = next(iter(bodies), "")
     steps, frames, switches = ProgramSteps(), {}, []
     speed, share, accuracy = np.nan, np.nan, np.nan
-    pending: list[Statement] = []  # a move, until it is known whether it stops; of an arc both statements
+    pending: list[Statement] = []  # a move, until it is known whether it stops; both statements of an arc
 
     def move(fine: bool) -> None:
         if not pending:
             return
         *first, last = pending
         if bool(first) != last.text.startswith("C2MOVE"):
-            raise last.error("C1MOVE and C2MOVE belong together")
+            raise last.error("C1MOVE and C2MOVE must come in pairs")
         if not (fine or accuracy > 0.0):
-            raise last.error("a move that goes on without an accuracy")
+            raise last.error("a move that does not stop needs an accuracy")
         numbers = [float(value) for value in last.parts[0].split(",")]
         via = _read_pose(first[0].parts[0].split(",")) if first else None
         if last.word == "line":
@@ -238,7 +238,7 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
         word, parts = statement.word, statement.parts
         if word == "stop":
             if not pending:
-                raise statement.misplaced("behind no move")
+                raise statement.misplaced("without a move before it")
             move(True)
             continue
         if not (pending and pending[-1].word == "via" and word == "line"):
@@ -258,7 +258,7 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
         elif word == "reset":
             frames["NULL"] = np.array([])
         elif steps.moves or parts[0] in frames:
-            raise statement.misplaced("behind the first move, or twice")
+            raise statement.misplaced("after the first move, or twice")
         elif word == "frame":
             frames[parts[0]] = _read_pose(parts[1].split(","))
         else:
@@ -269,17 +269,17 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan.
+# Check of a program that was read against the plan.
 
 
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
-    """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
+    """The program in the files, with whatever they leave open taken from the plan. InputError for an unknown line."""
     read = read_kawasaki(files[f"{as_name(plan.name)}.as"], plan)
     return arm_program(plan, moves_with_arcs(plan), read, KAWASAKI, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of the file from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    """Differences of the file from the plan beyond rounding and thinning, in words. InputError for an unknown line."""
     read = read_kawasaki(files[f"{as_name(plan.name)}.as"], plan)
     moves = moves_with_arcs(plan)
     rounding, speeds = np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves)

@@ -42,24 +42,24 @@ if TYPE_CHECKING:
 # Axes: at KUKA's zero the arm points straight forward, and A1, A4, A6 turn against our joints (ROS-Industrial,
 # kuka_experimental, whose URDF files follow the controllers). Angles: R = Rz(A) Ry(B) Rx(C).
 #
-# Status: bit 0 is set where the wrist's centre lies behind axis 1, bit 1 where A3 is beyond the stretched arm (0 without
-# an offset between axes 3 and 4, else less by as much as that offset turns the forearm), bit 2 where A5 is negative
-# (Siemens, SINUMERIK ONE programming manual 6FC5398-2EP40, STAT, which has KUKA's bits). ISG has bit 2 the other way
-# round; a controller that reads it so finds A5's sign in Turn as well. Turn: bit i - 1 is set where axis i is negative.
-# LIN ignores both; they decide how a program is entered at a target, and PTP targets are axis angles here.
+# Status: bit 0 is set if the wrist centre lies behind axis 1; bit 1 if A3 is beyond the stretched arm (0 without an
+# offset between axes 3 and 4, else less by the angle by which that offset turns the forearm); bit 2 if A5 is negative
+# (Siemens, SINUMERIK ONE programming manual 6FC5398-2EP40, STAT, which has KUKA's bits). ISG inverts bit 2; a
+# controller that does so, too, still finds A5's sign in Turn. Turn: bit i - 1 is set if axis i is negative. LIN ignores
+# both; they matter when a program is entered at a target. PTP targets are axis angles here.
 
 SIGNS = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
 OFFSETS = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
 
 
 def to_kuka(q: Array) -> Array:
-    """A1 to A6 (m, 6) [rad] of our joints (m, 6)."""
+    """A1 to A6 (m, 6) [rad] for our joints (m, 6)."""
     out: Array = SIGNS * q + OFFSETS
     return out
 
 
 def from_kuka(axes: Array) -> Array:
-    """Our joints (m, 6) of A1 to A6 (m, 6) [rad]."""
+    """Our joints (m, 6) for A1 to A6 (m, 6) [rad]."""
     out: Array = SIGNS * (axes - OFFSETS)
     return out
 
@@ -86,7 +86,7 @@ def turn(q: Array) -> Indices:
 
 
 def angles(R: Array) -> Array:
-    """A B C (m, 3) [rad] of rotations (m, 3, 3); C is 0 where B is a right angle, and A and C are one."""
+    """A B C (m, 3) [rad] of rotations (m, 3, 3); C is 0 if B is a right angle, as A and C then share an axis."""
     return fixed_xyz(R)[:, ::-1]
 
 
@@ -101,9 +101,9 @@ def quaternions(abc: Array) -> Array:
 LONGEST_NAME = 24
 MARK = ";"  # begins a comment
 WAIT = "WAIT SEC {:.3f}"
-MM, DEGREES = 3, 4  # decimals of targets; frames have
-FRAME_DEGREES = 6
-# KUKA, reserved words and types of KRL that a name in CamelCase could be, programs of KUKA's own, and our data
+MM, DEGREES = 3, 4  # decimals of targets
+FRAME_DEGREES = 6  # decimals of frames
+# reserved words and types of KRL that a name in CamelCase might match, KUKA's own programs, and our data
 RESERVED = """BRAKE CASE CAST_FROM CAST_TO CHANNEL CIRC CONFIRM CONST CONTINUE DECL DEF DEFAULT DEFDAT DEFFCT DELAY DISABLE
     ELSE ENABLE END ENDDAT ENDFCT ENDFOR ENDIF ENDLOOP ENDSWITCH ENDWHILE ENUM EXIT EXT EXTFCT FALSE FOR FRAME GLOBAL
     GOTO HALT IF IMPORT INTERRUPT IS LIN LOOP MAXIMUM MINIMUM NOT OFF ON OR POS PRIO PTP PUBLIC PULSE REAL REPEAT RESUME
@@ -112,20 +112,20 @@ RESERVED = """BRAKE CASE CAST_FROM CAST_TO CHANNEL CIRC CONFIRM CONST CONTINUE D
 
 
 def krl_name(name: str) -> str:
-    """CamelCase name, at most 24 letters and digits, of a problem's name; small letters and capitals are one to KRL."""
+    """CamelCase name, at most 24 letters and digits, from a problem's name; KRL ignores case."""
     joined = module_name(name, LONGEST_NAME)
     return "Print" + joined if joined.upper() in RESERVED.split() else joined
 
 
 def frame(T: Array) -> str:
-    """Components of a FRAME (mm, degrees) of a pose (4, 4)."""
+    """Components of the FRAME (mm, degrees) for a pose (4, 4)."""
     values = [*(T[:3, 3] * 1e3), *written(angles(T[None, :3, :3])[0], FRAME_DEGREES)]
     decimals = [MM] * 3 + [FRAME_DEGREES] * 3
     return ",".join(f"{name} {number(v, d)}" for name, v, d in zip("XYZABC", values, decimals, strict=True))
 
 
 def axes(degrees: Array, external: Array) -> str:
-    """Components of an E6AXIS of one posture: A1 to A6 (6) and the external axes (k) [deg, mm]."""
+    """Components of the E6AXIS for one posture: A1 to A6 (6) and the external axes (k) [deg, mm]."""
     named = [(f"A{i}", v) for i, v in enumerate(degrees, 1)] + [(f"E{i}", v) for i, v in enumerate(external, 1)]
     return ",".join(f"{name} {number(v, DEGREES)}" for name, v in named)
 
@@ -133,33 +133,33 @@ def axes(degrees: Array, external: Array) -> str:
 # ----------------------------------------------------------------------------------------------------
 # Writer: a .src with a subprogram for each bead, and a .dat with the frames.
 #
-# Targets stand inline in the moves, as they do in programs of offline systems: E6AXIS for travel, which leaves no doubt
-# about the posture, and E6POS in the part's frame for lines. Subprograms are local to the file, so that a bead is one
-# thing to select and the file still one to copy. A longer program is a file that calls others, <Name>_1.src and so on:
-# neither calls nor the end of a subprogram stop the advance run, so that a bead may go on in the next one.
+# Targets are inline in the moves, as in programs of offline systems: E6AXIS for travel, which defines the posture, and
+# E6POS in the part's frame for lines. Subprograms are local to the file, so that each bead can be selected, yet there
+# is only one file to copy. A longer program is a file that calls others, <Name>_1.src and so on: neither calls nor the
+# end of a subprogram stop the advance run, so a bead may continue in the next one.
 
-LOCAL_PROGRAMS = 250  # of a .src; KUKA takes 255
-SUBPROGRAM = 1000  # moves of one
-# bytes of a .src: some 4,000 lines; users report that the pendant's editor slows down beyond 5,000. KSS 8.3 was seen to hold
-# 4 MB of programs in all, whatever the size of each; the header says how many these have.
+LOCAL_PROGRAMS = 250  # per .src; KUKA accepts 255
+SUBPROGRAM = 1000  # moves in a subprogram
+# bytes per .src: some 4,000 lines; users report that the pendant's editor slows down beyond 5,000. KSS 8.3 was seen to
+# hold 4 MB of programs in total, whatever the size of each; the header says how many bytes these have.
 FILE_SIZE = 400_000
 LOADED = 4_000_000
 
-SPEED = 5  # decimals of m/s: a fibre is laid at 5 mm/s, and a move of 20 mm takes 4 s
+SPEED = 5  # decimals of m/s; a fibre may be laid at 5 mm/s, where a move of 20 mm takes 4 s
 LEAST_SPEED = 10.0**-SPEED
-STATION = "MACHINE_DEF[2]"  # KUKA's usual place of an external kinematic system; the robot itself is the first one
-ADVANCE = 3  # moves that the interpreter is ahead, KUKA's default: what blending needs
-HEAD_ROOM = 1.5  # of reorientation over what the plan needs, so that the tip's speed alone governs
+STATION = "MACHINE_DEF[2]"  # KUKA's usual entry for an external kinematic system; the robot itself is the first one
+ADVANCE = 3  # moves by which the interpreter runs ahead, KUKA's default; blending needs it
+HEAD_ROOM = 1.5  # × the plan's rate of reorientation, so that the tip's speed alone governs
 LEAST_TURNING = 100.0  # deg/s
-# System variables, and the machine data that bound them
+# system variables, and the machine data that bound them
 GREATEST = {"$VEL.ORI1": "$VEL_MA.ORI1", "$VEL.ORI2": "$VEL_MA.ORI2", "$ACC.CP": "$ACC_MA.CP"}
-# Radii of blends [mm]: few values, so that few lines are taken to set them
+# radii of blends [mm]: few values, so that few lines are needed to set them
 LEVELS = np.array([a * 10.0**k for k in range(-3, 2) for a in (1.0, 2.0, 5.0)])
 
 
 @dataclass(frozen=True)
 class Subprogram:
-    """A bead, or a piece of one: its name, and its lines from DEF to END, an empty one before them."""
+    """A bead, or a piece of one: its name, and its lines, an empty one and then from DEF to END."""
 
     name: str
     lines: tuple[str, ...]
@@ -220,7 +220,7 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def _set(key: str, value: str) -> list[str]:
-    """Lines that set a system variable: to no more than the machine's own greatest, beyond which a controller stops."""
+    """Lines that set a system variable, to no more than the machine's own maximum, beyond which a controller stops."""
     if key not in GREATEST:
         return [f"  {key}={value}"]
     greatest = GREATEST[key]
@@ -228,13 +228,13 @@ def _set(key: str, value: str) -> list[str]:
 
 
 def _source(name: str, body: list[str], subprograms: list[Subprogram]) -> str:
-    """Text of a source file: the program that it is named after, and those that are local to it."""
+    """Text of a source file: the program that it is named after, and its local programs."""
     inner = [line for each in subprograms for line in each.lines]
     return "\n".join(["&ACCESS RVP", "&REL 1", f"DEF {name}()", *body, "END", *inner, ""])
 
 
 def settings(plan: Plan, moves: Moves) -> dict[str, str]:
-    """System variables that are set once, in their order."""
+    """System variables that are set once, in order."""
     turning = max(LEAST_TURNING, 10.0 * float(np.ceil(HEAD_ROOM * np.degrees(moves.turn.max()) / 10.0)))
     station = plan.cell.station
     base = "FPART" if station is None else f"EK({STATION}.ROOT,{STATION}.MECH_TYPE,FPART)"
@@ -256,7 +256,7 @@ def radii_of(plan: Plan, moves: Moves) -> Array:
     """Approximation distance (m) [m] at the end of each move: the next smaller of LEVELS; 0 where the robot stops."""
     radius = move_radii(plan, moves) * 1e3 * (1.0 + 1e-9)
     below = np.searchsorted(LEVELS, radius, side="right")
-    # smaller than the smallest is still no reason to stop
+    # a radius below the smallest level is still no reason to stop
     out: Array = np.where(radius > 0.0, LEVELS[np.maximum(below - 1, 0)], 0.0) * 1e-3
     return out
 
@@ -284,7 +284,7 @@ def _header(plan: Plan) -> list[str]:
 
 
 def _targets(plan: Plan, moves: Moves) -> list[str]:
-    """The aggregate of each move's target; of an arc, that of its middle before it."""
+    """The aggregate of each move's target; for an arc, preceded by that of its middle."""
     t, own, k = plan.trajectory, plan.cell.own, moves.sample
     external = np.round(external_written(plan.cell, moves.targets.station[1:]), DEGREES) + 0.0
     joints = np.round(np.degrees(to_kuka(t.q[k, own])), DEGREES) + 0.0
@@ -311,12 +311,12 @@ def _targets(plan: Plan, moves: Moves) -> list[str]:
 
 
 def _frames(position: Array, quat: Array) -> Array:
-    """X Y Z A B C (m, 6) as they are written [mm, deg]."""
+    """X Y Z A B C (m, 6) as written [mm, deg]."""
     return np.column_stack([np.round(position * 1e3, MM) + 0.0, written(angles(to_matrix(quat)), DEGREES)])
 
 
 def _subprograms(plan: Plan, moves: Moves) -> Iterator[Subprogram]:
-    """All subprograms with moves, in the order of calling."""
+    """All subprograms with moves, in calling order."""
     bead = plan.trajectory.bead
     outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     targets, shares = _targets(plan, moves), percent(plan, moves)
@@ -420,14 +420,14 @@ COUPLED = re.compile(r"EK\((MACHINE_DEF\[[1-9]\])\.ROOT,\1\.MECH_TYPE,FPART\)")
 class KrlProgram:
     """A program (m moves) that was read.
 
-    program   triggers name outputs by their numbers; joints are counted as KUKA does; the zone of an approximated PTP
-              is NaN, for it has no distance
+    program   triggers name outputs by number; joints are in KUKA's axes; the zone of an approximated PTP is NaN, as it
+              has no distance
     axes      (m, 6) A1 to A6 of PTP targets [rad]; NaN for others
     turn      (m) Turn of LIN targets; UNSPECIFIED for others
-    middle    (m, 10) quaternion x y z w and external axes [rad] of points on the way of arcs; NaN for others
+    middle    (m, 10) quaternion x y z w and external axes [rad] at via points of arcs; NaN for others
     share     (m) speed of the axes [percent]
-    settings  system variables and what they are set to
-    off       outputs that are switched off before the first move, and behind the last one
+    settings  system variables and their values
+    off       outputs switched off before the first move, and after the last one
     """
 
     program: RobotProgram
@@ -440,10 +440,10 @@ class KrlProgram:
 
 
 def read_krl(source: str, data: str, forward: Forward, further: Mapping[str, str] | None = None) -> KrlProgram:
-    """Program of the texts of .src and .dat as `write` writes them; further: those of other .src, by their programs.
+    """Program from the texts of .src and .dat as `write` writes them; further: program → text of other .src files.
 
-    forward: A1 to A6 and external axes (m, 12) [rad], NaN where unused → T_part_nozzle (m, 4, 4). Raises InputError
-    with the line for a statement or name that is not known, or that stands where it must not.
+    forward: A1 to A6 and external axes (m, 12) [rad], NaN where unused → T_part_nozzle (m, 4, 4). Raises InputError,
+    with the line, for an unknown or misplaced statement or name.
     """
     title, frames, start = _data(data)
     run = _KrlRun(start)
@@ -452,23 +452,23 @@ def read_krl(source: str, data: str, forward: Forward, further: Mapping[str, str
     for name, text in (further or {}).items():
         own = _subprogram_bodies(text, name)
         if twice := next((each for each in own if each in bodies), None):
-            raise InputError(f"program {twice} stands in two files", file=SOURCE.file)
+            raise InputError(f"program {twice} is defined in two files", file=SOURCE.file)
         files[name] = set(own)
         bodies |= own
-    for names in files.values():  # local subprograms are known in their file only
+    for names in files.values():  # local subprograms are known only in their file
         for statement in (each for name in names for each in bodies[name] if each.word == "call"):
             if statement.parts[0] not in names | set(files):
-                raise statement.error(f"{statement.parts[0]} is no program that may be called here")
+                raise statement.error(f"{statement.parts[0]} is not a program that can be called here")
     for statement in inlined(bodies, title, "program", 2 if further else 1):
         run.take(statement)
     return run.source(title, frames, forward)
 
 
 def _posture(parts: tuple[str, ...], statement: Statement) -> list[float]:
-    """Twelve axes [rad] of six numbers and the text of external axes; NaN where unused."""
+    """Twelve axes [rad] from six numbers and the text of external axes; NaN where unused."""
     external = [item.split(" ") for item in parts[6].split(",")[1:]]
     if [name for name, _ in external] != [f"E{i}" for i in range(1, len(external) + 1)]:
-        raise statement.error("external axes must stand in their order, each once")
+        raise statement.error("external axes must be in order, each once")
     degrees = [float(value) for value in parts[:6]] + [float(value) for _, value in external]
     return [*np.radians(degrees).tolist(), *[float("nan")] * (12 - len(degrees))]
 
@@ -479,7 +479,7 @@ def _pose(parts: tuple[str, ...]) -> Array:
 
 
 def _data(text: str) -> tuple[str, dict[str, Array], list[float]]:
-    """Name, frames and start posture of a data list."""
+    """Name, frames and start posture in a data list."""
     title, frames, start, closed = "", {}, [], False
     for statement in DATA.statements(text.split("\n")):
         word, parts = statement.word, statement.parts
@@ -498,8 +498,8 @@ def _data(text: str) -> tuple[str, dict[str, Array], list[float]]:
 
 
 def _subprogram_bodies(text: str, title: str) -> dict[str, list[Statement]]:
-    """Statements of each program of a source file, the first of which must be the one that its data list is of."""
-    incomplete = f"no complete program {title}, which its data list is of"
+    """Statements of each program of a source file, the first of which must be the one that its data list belongs to."""
+    incomplete = f"no complete program {title}, to which the data list belongs"
     bodies = SOURCE.bodies(text, incomplete)
     if next(iter(bodies)) != title:
         raise InputError(incomplete, file=SOURCE.file)
@@ -520,16 +520,16 @@ class _KrlRun:
         self.triggers: dict[int, tuple[Trigger, ...]] = {}
         self.waiting: tuple[Trigger, ...] = ()
         self.waits: dict[int, float] = {}
-        self.off: list[tuple[int, Statement]] = []  # moves after which an output is set, and by what
+        self.off: list[tuple[int, Statement]] = []  # moves after which an output is set, and the statement
         self.settings: dict[str, str] = {}
-        self.bound: list[Statement] = []  # of a setting: from IF on, while it is not closed
+        self.bound: list[Statement] = []  # of a bounded setting: from IF until ENDIF
         self.speed, self.radius, self.share = np.nan, np.nan, 100
 
     def take(self, statement: Statement) -> None:
         word, parts = statement.word, statement.parts
         at = len(self.points) - 1
         if word in ("start", "line", "arc", "point", "wait", "trigger") and (word == "start") == (at >= 0):
-            raise statement.error("the program begins with PTP XSTART, and goes there once")
+            raise statement.error("the program must begin with PTP XSTART, and go there once")
         first = parts[0] if parts else ""
         if self.bound or word in ("bound", "else", "bounded"):
             self._bounded(statement)
@@ -557,17 +557,17 @@ class _KrlRun:
             self._move(parts, [np.nan] * 6 + external, bool(parts[9]))
         elif word in ("start", "point"):
             if self.waiting:
-                raise statement.error("a trigger belongs to a line")
+                raise statement.error("a trigger without a line after it")
             self.vias.append([np.nan] * 12)
             self._move((), _posture(parts, statement) if parts else self.start, bool(parts) and bool(parts[7]))
 
     def _bounded(self, statement: Statement) -> None:
-        """The next line of a setting that is bounded by the machine's: IF, the machine's, ELSE, the program's, ENDIF."""
+        """Next line of a setting bounded by the machine's value: IF, the machine's, ELSE, the program's, ENDIF."""
         self.bound.append(statement)
         if statement.word != "bounded":
             return
         if [each.word for each in self.bound] != ["bound", "setting", "else", "setting", "bounded"]:
-            raise statement.error("no setting that is bounded by the machine's stands between IF and ENDIF")
+            raise statement.error("no setting bounded by the machine's own between IF and ENDIF")
         (greatest, value), its, _, own, _ = (each.parts for each in self.bound)
         key = own[0]
         if (its, own) != ((key, greatest), (key, value)) or GREATEST.get(key) != greatest:
@@ -633,7 +633,7 @@ class _KrlRun:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan.
+# Check of a program that was read against the plan.
 
 ROUNDING = np.radians(1.01e-4)  # of axes
 
@@ -644,7 +644,7 @@ def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    """Differences of the files from the plan beyond rounding and thinning, in words. InputError for an unknown line."""
     source, motion = _read(plan, files)
     moves = moves_with_arcs(plan)
     return [
@@ -655,7 +655,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 
 def _read(plan: Plan, files: Mapping[str, str]) -> tuple[KrlProgram, RobotProgram]:
-    """Both files, and what they do in the cell's own joints."""
+    """Both files as read, and their program in the cell's own joints."""
     name, cell = krl_name(plan.name), plan.cell
     free = [k for k, axis in enumerate(external_axes(cell)) if axis.held is None]
 
@@ -673,7 +673,7 @@ def _read(plan: Plan, files: Mapping[str, str]) -> tuple[KrlProgram, RobotProgra
 
 
 def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:
-    """Postures, Turn, speeds of axes and settings, one by one against those that the plan's moves have."""
+    """Postures, Turn, speeds of axes and settings, each compared with those of the plan's moves."""
     linear, circular = (np.concatenate([[False], kind]) for kind in (moves.linear, moves.circular))
     if not (np.array_equal(linear, source.program.linear) and np.array_equal(circular, source.program.circular)):
         return ["moves are not of the planned kinds"]
@@ -687,10 +687,10 @@ def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:
     said, beside = source.middle[circular], np.radians(external_written(plan.cell, moves.via.station[moves.circular]))
     wrong = np.count_nonzero(~(angle(said[:, :4], moves.via.quat[moves.circular]) <= ROUNDED_TURN))
     if wrong:
-        found.append(f"{wrong} points on the way of arcs have another orientation")
+        found.append(f"orientations differ at {wrong} via points of arcs")
     k = 4 + beside.shape[1]
     if not (np.abs(said[:, 4:k] - beside).max(initial=0.0) <= ROUNDING and np.isnan(said[:, k:]).all()):
-        found.append("external axes on the way of arcs are not the planned ones")
+        found.append("external axes at via points of arcs are not the planned ones")
     shares = np.array(percent(plan, moves))
     if not np.array_equal(source.share[~linear], np.concatenate([shares[:1], shares[~moves.linear]])):
         found.append("speeds of axes are not the planned ones")

@@ -1,4 +1,4 @@
-"""Robot programs by language: each is written from a verified plan, read back, and held against it."""
+"""Robot programs by language: each is written from a verified plan, read back, and compared with it."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class _SeveralNozzles(_RobotModule, Protocol):
 class Language:
     """A language of robot controllers, or of extruders.
 
-    module       below planner.export, with `write` and `differences`; loaded when it is first asked, for all of them
-                 together take half a second
-    unsupported  why a program of this cell cannot be written in it; None if it can
-    counted      it tells postures as controllers of industrial arms count joints, whatever the arm's URDF does
-    moving_only  its programs have no axes that stand: what holds the part is no station where all of its axes are held
+    module       under planner.export, with `write` and `differences`; loaded on first use, as all of them together take
+                 half a second
+    unsupported  why a program for this cell cannot be written in it; None if it can
+    counted      it gives postures in the joint convention of industrial controllers, whatever the arm's URDF does
+    moving_only  its programs have no held axes: a part's holder is not a station if all of its axes are held
     """
 
     title: str
@@ -58,14 +58,14 @@ class Language:
     moving_only: bool = False
 
     def plan(self, plan: Plan) -> Plan:
-        """The plan with the motion that programs ask for, and the joints that those in this language speak of."""
+        """The plan with the motion that programs command, and the joints that this language uses."""
         plan = plan if plan.asked is None else replace(plan, trajectory=plan.asked, asked=None)
         plan = plan.moving_only if self.moving_only else plan
         return plan.as_counted if self.counted else plan
 
     def write(self, plan: Plan) -> dict[str, str]:
-        """File name → text. ValueError if the plan is not verified, or the language does not support its cell: a mistake of
-        the caller's."""
+        """File name → text. ValueError (the caller's mistake) if the plan is not verified, or the language does not
+        support its cell."""
         plan = self.plan(plan)
         if not plan.verified:
             raise ValueError("robot code is written for verified plans only")
@@ -74,20 +74,20 @@ class Language:
         return self._module.write(plan)
 
     def differences(self, plan: Plan, files: Mapping[str, str]) -> list[str]:
-        """Differences of files from the plan, beyond rounding, in words. InputError for what cannot be read."""
+        """Differences of files from the plan beyond rounding, in words. InputError if they cannot be read."""
         return self._module.differences(self.plan(plan), files)
 
     def program(self, plan: Plan, files: Mapping[str, str]) -> RobotProgram:
-        """The program of files as it can be played; of a language that CONTROLLERS has a row for.
+        """The program in files, ready to be played; for languages with a row in CONTROLLERS.
 
-        Raises InputError where there are several nozzles, see `programs`.
+        Raises InputError if there are several nozzles, see `programs`.
         """
         if plan.cell.nozzles:
-            raise plan.problem.error("cell.nozzles", "this is made for programs with one nozzle")
+            raise plan.problem.error("cell.nozzles", "this supports only programs with one nozzle")
         return cast("_RobotModule", self._module).program(self.plan(plan), files)
 
     def programs(self, plan: Plan, files: Mapping[str, str]) -> tuple[tuple[Plan, RobotProgram], ...]:
-        """What files do while each nozzle is in use, beside the plan of that time, see `Plan.stretches`."""
+        """The program while each nozzle is in use, with the plan of that stretch, see `Plan.stretches`."""
         plan = self.plan(plan)
         if not plan.cell.nozzles:
             return ((plan, self.program(plan, files)),)
@@ -99,7 +99,7 @@ class Language:
 
 
 def _always(setup: Setup) -> None:
-    """A language that supports every cell."""
+    """For a language that supports every cell."""
 
 
 LANGUAGES: dict[str, Language] = {
@@ -115,28 +115,28 @@ LANGUAGES: dict[str, Language] = {
     "axes": Language("multi-axis G-code", "axes.gcode", unsupported_in_axes, moving_only=True),
     "extruder": Language("the extruder's G-code", "extruder", _always),
 }
-ALWAYS = ("extruder",)  # written beside whatever moves the arm, so not asked for
+ALWAYS = ("extruder",)  # always written alongside the arm's program, so never requested
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """The languages (keys of LANGUAGES) in which a plan is written, and a note on one that is left out, or none."""
+    """The languages (keys of LANGUAGES) in which a plan is written, and a note on one left out, or empty."""
 
     names: tuple[str, ...]
     note: str
 
     @property
     def words(self) -> str:
-        """Which programs there are, for the summary."""
+        """The programs written, for the summary."""
         titles = ", ".join(LANGUAGES[name].title for name in self.names)
         return f"programs: {titles}" + (f"; {self.note}" if self.note else "")
 
 
 def chosen(setup: Setup) -> Chosen:
-    """The languages that the problem asks for; without that, the one of the arm's controller.
+    """The languages that the problem requests; by default, that of the arm's controller.
 
-    A machine that the problem describes has its G-code then, too. Raises InputError for a language that was asked for
-    and does not support the cell.
+    By default, a machine that the problem describes gets its G-code, too. Raises InputError for a requested language
+    that does not support the cell.
     """
     asked = setup.problem.program.languages
     if asked is None and setup.problem.program.machine is not None:
@@ -154,7 +154,7 @@ def chosen(setup: Setup) -> Chosen:
 
 
 def _usual(setup: Setup) -> Chosen:
-    """The language of the arm's controller, or a note where that does not support the cell."""
+    """The language of the arm's controller, or a note if that does not support the cell."""
     own = setup.cell.arm_robot.language
     reason = LANGUAGES[own].unsupported(setup)
     if reason is not None:
@@ -163,7 +163,7 @@ def _usual(setup: Setup) -> Chosen:
 
 
 def check_languages(problem: Problem, cell: Cell) -> None:
-    """Raise InputError for a language that was asked for and does not support the cell, and for a name of the problem's
-    that a program must not have, before anything is planned."""
+    """Raise InputError, before anything is planned, for a requested language that does not support the cell, and for a
+    name in the problem that a program cannot have."""
     if "rapid" in chosen(ProblemSetup(problem, cell)).names:
         check_rapid_names(problem)

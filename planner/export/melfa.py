@@ -43,8 +43,9 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# Mitsubishi's axes and frames (its own URDF files, melfa_ros2_driver): they count as ours do, but the arm stands straight up
-# at zero, where the flange's frame is the base's, at the foot. A B C are turns about fixed x, y and z.
+# Mitsubishi's axes and frames (its own URDF files, melfa_ros2_driver): the axes have the same sense as ours, but at
+# zero the arm is straight up, and the flange's frame is parallel to the base's, which is at the foot. A B C are turns
+# about fixed x, y and z.
 
 MITSUBISHI = Convention(
     axes=signed(1.0, 1.0, 1.0, 1.0, 1.0, 1.0), offset=np.array([0.0, 0.0, 0.5 * np.pi, 0.0, 0.0, 0.0])
@@ -53,10 +54,10 @@ RIGHT, ABOVE, NO_FLIP = 4, 2, 1  # bits of the first structure flag
 
 
 def flags(plan: Plan, moves: Moves) -> list[str]:
-    """Structure flags of the target of each move: the posture, and the turns of the axes in four bits each.
+    """Structure flags of each move's target: the posture, and the turns of the axes in four bits each.
 
-    7 (right, above, no flip) is the usual posture with the tool down, whose J5 is positive; where the wrist's centre is
-    behind axis 1, an elbow that would be above for reaching forwards is below.
+    7 (right, above, no flip) is the usual posture with the tool down, in which J5 is positive. Where the wrist centre
+    is behind axis 1, an elbow that would count as above when reaching forwards is below.
     """
     branch = plan.trajectory.branch[moves.sample].astype(np.intp)
     flip, below, back = (branch & bit > 0 for bit in (AXIS_5_NEGATIVE, BEHIND_LOWER_ARM, BEHIND_AXIS_1))
@@ -67,7 +68,7 @@ def flags(plan: Plan, moves: Moves) -> list[str]:
 
 
 def branch_of(flag: int) -> int:
-    """Branch of a first structure flag."""
+    """Branch for a first structure flag."""
     back, above = not flag & RIGHT, bool(flag & ABOVE)
     return (not flag & NO_FLIP) * AXIS_5_NEGATIVE + (above == back) * BEHIND_LOWER_ARM + back * BEHIND_AXIS_1
 
@@ -75,24 +76,24 @@ def branch_of(flag: int) -> int:
 # ----------------------------------------------------------------------------------------------------
 # Writer: a program with its positions, or one that calls others.
 #
-# Positions are those of the nozzle in the base frame, since which way `Base` shifts them is easily got wrong. Moves between
-# Cnt 1 and Cnt 0 are one motion; the neighbourhood in millimetres stands before a move, and is the smaller of what both its
-# ends may have, so that it does not matter to which of them a controller takes it. Outputs are switched by Wth, as the next
-# move begins.
+# Positions are those of the nozzle in the base frame, as the direction in which `Base` shifts them is easily got wrong.
+# Moves between Cnt 1 and Cnt 0 are one motion. The neighbourhood in millimetres precedes a move; it is the smaller of
+# those allowed at its two ends, so it does not matter which end a controller applies it to. Outputs are switched by
+# Wth, as the next move begins.
 
 LONGEST_NAME = 12
 MOST_MOVES = 2000  # of a program
-MOST_POSITIONS, MOST_LINES = 39_000, 78_000  # that a CR750 is said to hold in all
+MOST_POSITIONS, MOST_LINES = 39_000, 78_000  # that a CR750 reportedly holds in total
 MARK = "'"
 MM, DEGREES = 3, 4  # decimals
 SPEED = 2  # decimals of mm/s
-STEPS = 100.0  # of neighbourhoods in a mm
+STEPS = 100.0  # of neighbourhoods, per mm
 SIX = ",".join([f"%.{MM}f"] * 3 + [f"%.{DEGREES}f"] * 3)
 JOINTS = ",".join([f"%.{DEGREES}f"] * 6)
 
 
 def melfa_name(name: str) -> str:
-    """Capitals and digits, at most 12, of a problem's name."""
+    """A problem's name in capitals and digits, at most 12 of them."""
     return module_name(name, LONGEST_NAME).upper()
 
 
@@ -133,12 +134,12 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def planned_speeds(moves: Moves) -> Array:
-    """Speed (m) [m/s] that each line is written with."""
+    """Speed (m) [m/s] written for each line."""
     return stepped_speeds(moves, 1e-3 * 10.0**-SPEED)
 
 
 def neighbourhoods(plan: Plan, moves: Moves) -> Array:
-    """What stands before each move (m) [m], 0 where it neither begins nor ends in a blend."""
+    """Neighbourhood written before each move (m) [m]; 0 if it neither begins nor ends in a blend."""
     radii = move_radii(plan, moves)
     before = np.concatenate([[0.0], radii[:-1]])
     nearest = np.where((radii > 0.0) & (before > 0.0), np.minimum(radii, before), np.maximum(radii, before))
@@ -149,7 +150,7 @@ def neighbourhoods(plan: Plan, moves: Moves) -> Array:
 
 
 def planned_zones(plan: Plan, moves: Moves) -> Array:
-    """Blend (m) [m] at the end of each move: the smaller of what stands before it and before the next one."""
+    """Blend (m) [m] at the end of each move: the smaller of the neighbourhoods before it and before the next one."""
     near = neighbourhoods(plan, moves)
     out: Array = np.where(move_radii(plan, moves) > 0.0, np.minimum(near, np.append(near[1:], np.inf)), 0.0)
     return out
@@ -186,7 +187,7 @@ def _joints(axes: Array) -> list[str]:
 
 
 class _Targets:
-    """Positions of all moves in the base frame, as they are written."""
+    """Positions of all moves in the base frame, as written."""
 
     def __init__(self, plan: Plan, moves: Moves) -> None:
         T = MITSUBISHI.part(plan.cell)
@@ -212,7 +213,7 @@ def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: _Targets) -
     lines: list[str] = []
     positions: list[str] = []
     counts = {"P": 0, "J": 0}
-    said: dict[str, str] = {}  # of Spd, JOvrd and Cnt
+    said: dict[str, str] = {}  # latest values of Spd, JOvrd and Cnt
 
     def say(word: str, value: str) -> None:
         if said.get(word) != value:
@@ -224,7 +225,7 @@ def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: _Targets) -
         positions.append(f"{kind}{counts[kind]}={values}")
         return f"{kind}{counts[kind]}"
 
-    waiting: list[str] = []  # switches that the next move is to make as it begins
+    waiting: list[str] = []  # outputs to switch as the next move begins
     for section in own:
         lines += [ascii_comment(MARK, section.about)] if section.about else []
         for i in section.moves:
@@ -238,7 +239,7 @@ def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: _Targets) -
             *plain, last = waiting or [""]
             lines += plain
             if moves.circular[i]:
-                shared = counts["P"] > 0 and moves.linear[i - 1]  # where the move before it in this program ends
+                shared = counts["P"] > 0 and moves.linear[i - 1]  # its start is the end of the move before it here
                 begin = f"P{counts['P']}" if shared else place("P", targets.start[i])
                 move = f"Mvr {begin},{place('P', targets.via[i])},{place('P', targets.end[i])}"
             elif moves.linear[i]:
@@ -287,9 +288,9 @@ Places = dict[str, tuple[list[float], str]]  # name → numbers, and structure f
 
 
 def read_melfa(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProgram, list[str]]:
-    """Program of the texts of files by their programs' names, and the structure flags of its lines, in their order.
+    """Program from texts by program name, and the structure flags of its lines, in order.
 
-    Raises InputError with the line for a statement or position that is not known, or that stands where it must not.
+    Raises InputError, with the line, for an unknown or misplaced statement or position.
     """
     bodies: dict[str, list[Statement]] = {}
     places: dict[str, Places] = {}
@@ -346,14 +347,14 @@ class _MelfaRun:
                 raise statement.error("a wait before the arm has come to rest")
             self.steps.wait(float(parts[0]))
         elif self.steps.moves or self.pending is not None:
-            raise statement.misplaced("behind the first move")
+            raise statement.misplaced("after the first move")
         elif word == "tool":
             self.tool = read_pose(parts[0].split(","), from_fixed_xyz)
         else:
             self.settings.append(parts[0])
 
     def move(self) -> None:
-        """The last move ends, at rest or in a blend as large as what stands before it and before the next one."""
+        """End the last move: at rest, or in a blend of the smaller neighbourhood before it and before the next one."""
         if (step := self.pending) is not None:
             zone = min(self.pending_near, self.near)
             at_end = float("nan") if zone == 0.0 else zone
@@ -381,7 +382,7 @@ class _MelfaRun:
         self.pending = ProgramStep(True, False, pose, self.speed, branch=branch_of(int(flag.split(",")[0])), via=via)
 
     def _pose(self, values: list[float]) -> Array:
-        """In the part frame."""
+        """A pose in the part frame."""
         return pose_of(self.T_part_base @ matrix_of(read_pose(values, from_fixed_xyz)))
 
 
@@ -395,13 +396,13 @@ def _program(text: str, name: str) -> tuple[list[Statement], Places]:
             match = POSITION.fullmatch(raw)
             key = f"P{match[1]}" if match and match[1] else f"J{match[5]}" if match else ""
             if match is None or key in places:
-                raise InputError(f"unknown position {raw[:40]!r}, or one that stands there twice", file=name, line=line)
+                raise InputError(f"unknown position {raw[:40]!r}, or one that is defined twice", file=name, line=line)
             numbers = [float(value) for value in (match[2] or match[6]).split(",")]
             places[key] = (numbers, f"{match[3]},{match[4]}" if match[1] else "")
         elif not ended:
             inner = re.fullmatch(r"([0-9]+) (.*)", raw, re.ASCII)
             if inner is None or int(inner[1]) != line:
-                raise InputError("a line without its number in order", file=name, line=line)
+                raise InputError("a line whose number is missing or out of order", file=name, line=line)
             if inner[2].startswith(MARK):
                 continue
             statement = GRAMMAR.statement(inner[2], line, name)
@@ -413,17 +414,17 @@ def _program(text: str, name: str) -> tuple[list[Statement], Places]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan.
+# Check of a program that was read against the plan.
 
 
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
-    """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
+    """The program in the files, with whatever they leave open taken from the plan. InputError for an unknown line."""
     read, _ = read_melfa({file.removesuffix(".prg"): text for file, text in files.items()}, melfa_name(plan.name), plan)
     return arm_program(plan, moves_with_arcs(plan), read, MITSUBISHI, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    """Differences of the files from the plan beyond rounding and thinning, in words. InputError for an unknown line."""
     texts = {file.removesuffix(".prg"): text for file, text in files.items()}
     read, said = read_melfa(texts, melfa_name(plan.name), plan)
     moves = moves_with_arcs(plan)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# How fast a controller may go where a plan gives no speed of single moves: as fast as the plan ever does.
+# How fast a controller may go where a plan gives no speed for single moves: as fast as the plan ever does.
 
 
 def tip_acceleration(trajectory: Trajectory) -> float:
@@ -33,14 +33,14 @@ def tip_acceleration(trajectory: Trajectory) -> float:
 
 
 def rounded_up(value: float) -> float:
-    """The next tenth, at least one."""
+    """The next higher tenth, at least 0.1."""
     return max(1.0, float(np.ceil(10.0 * value))) / 10.0
 
 
 def greatest_until_stop(moves: Moves, rates: Array) -> Array:
-    """Greatest of the rates (n - 1), one for each step between samples, between the stops around each move (m).
+    """Greatest of the rates (n - 1; one per step between samples) between the stops around each move (m).
 
-    One speed for moves that are blended into each other: a blend between different ones leaves its lines. Joint and
+    Moves that are blended into each other share one speed: a blend between different speeds leaves its lines. Joint and
     linear moves are not blended.
     """
     first = np.concatenate([[0], moves.sample[:-1]])
@@ -53,19 +53,19 @@ def greatest_until_stop(moves: Moves, rates: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Rests: where the robot stands still, for how long, and what for.
+# Rests: where the robot stands still, for how long, and why.
 
-LEAST_WAIT = 0.05  # [s]; a shorter rest is no more than the turn of a motion
-STILL = 1e-9  # rad that a joint moves in a sample, at most, where the robot stands still
-ON_TIME = 1e-9  # s: by which an event may miss a sample and still fall on it
-SLOW, SHARE = 5e-3, 0.05  # rad/s, and of the speed around: below both a motion comes to rest
-AROUND = 0.1  # s
+LEAST_WAIT = 0.05  # [s]; a shorter rest is merely a reversal of the motion
+STILL = 1e-9  # [rad] per sample: a joint that moves no more than this stands still
+ON_TIME = 1e-9  # [s] by which an event may miss a sample and still count as on it
+SLOW, SHARE = 5e-3, 0.05  # [rad/s], and share of the speed around it: below both, the motion comes to rest
+AROUND = 0.1  # [s] before and after, over which that speed is taken
 AT_HOME = ("heat", "purge", "change", "pause", "cool")  # events for which the robot rests at home, or lifted
-NEAR_EVENT = 2.0  # samples by which a rest may seem to begin behind its event
+NEAR_EVENT = 2.0  # samples by which a rest may seem to begin after its event
 
 
 class Wait(NamedTuple):
-    """One reason to stand still, in words, and for how long [s]."""
+    """A reason to stand still, in words, and for how long [s]."""
 
     why: str
     time: float
@@ -76,8 +76,8 @@ class Rests:
     """Where a trajectory (n samples) stands still.
 
     fine   (n,)  the motion comes to rest at this sample
-    waits        sample → what it waits for there, one after the other
-    inside (n,)  the robot stands still from the sample before to this one, in a wait
+    waits        sample → its waits there, in order
+    inside (n,)  the robot stands still from the previous sample to this one, in a wait
     clock  (n,)  time without waits [s]
     """
 
@@ -88,9 +88,9 @@ class Rests:
 
 
 def rests_of(trajectory: Trajectory, first: Indices, last: Indices) -> Rests:
-    """Rests between beads as the samples show them, and those that events ask for in beads and at home.
+    """Rests between beads, as the samples show them, and those that events require within beads and at home.
 
-    first, last: samples between which material is laid. Within a bead the nozzle rests only where its fibre is cut.
+    first, last: samples between which material is laid. Within a bead, the nozzle rests only where its fibre is cut.
     """
     fine, found = _between_beads(trajectory, first, last)
     waits: dict[int, tuple[Wait, ...]] = {}
@@ -119,7 +119,7 @@ def cuts(trajectory: Trajectory) -> list[Event]:
 
 
 def passed(t: Array, events: Sequence[Event], amounts: Sequence[float]) -> Array:
-    """How much (n) of some events' amounts has come until increasing times (n) [s], that of each evenly in its time."""
+    """Total of some events' amounts passed by increasing times (n) [s]; each event spreads its own over its time."""
     out, whole = np.zeros(len(t)), np.zeros(len(t) + 1)
     for event, amount in zip(events, amounts, strict=True):
         a, b = np.searchsorted(t, [event.start, event.start + event.duration])
@@ -129,13 +129,13 @@ def passed(t: Array, events: Sequence[Event], amounts: Sequence[float]) -> Array
 
 
 def rested_in_beads(trajectory: Trajectory) -> Array:
-    """For how long (n) [s] the nozzle has rested within beads until each sample."""
+    """How long (n) [s] the nozzle has rested within beads up to each sample."""
     found = cuts(trajectory)
     return passed(trajectory.t, found, [event.duration for event in found])
 
 
 def samples_of_rest(trajectory: Trajectory, event: Event) -> tuple[int, int]:
-    """First and last sample of an event that rests; the nearest one, twice, where it passes between two samples."""
+    """First and last sample of an event's rest; the sample nearest to its start, twice, if it lies between two."""
     end = event.start + event.duration
     a, b = np.searchsorted(trajectory.t, [event.start - ON_TIME, end + ON_TIME])
     if a >= b:
@@ -145,14 +145,14 @@ def samples_of_rest(trajectory: Trajectory, event: Event) -> tuple[int, int]:
 
 
 def rested_for(trajectory: Trajectory, a: int, b: int) -> list[Event]:
-    """The events that take time for which the robot rests at home from sample a to b."""
+    """The events that take time and for which the robot rests at home from sample a to b."""
     span = trajectory.t[a] - NEAR_EVENT * trajectory.dt, trajectory.t[b]
     first, last = (bisect_left(trajectory.events, when, key=attrgetter("start")) for when in span)
     return [event for event in trajectory.events[first:last] if event.kind in AT_HOME and event.duration > 0.0]
 
 
 def _meanwhile(trajectory: Trajectory, a: int, b: int) -> str:
-    """What the extruder does while the robot stands still from sample a to b, beside what it stands still for."""
+    """What the extruder does while the robot stands still from sample a to b, apart from the reasons for that rest."""
     events = trajectory.events
     first = bisect_right(events, trajectory.t[a], key=lambda event: event.start + event.duration)
     last = bisect_left(events, trajectory.t[b], key=attrgetter("start"))
@@ -160,10 +160,10 @@ def _meanwhile(trajectory: Trajectory, a: int, b: int) -> str:
 
 
 def _between_beads(trajectory: Trajectory, first: Indices, last: Indices) -> tuple[Flags, list[tuple[int, int, int]]]:
-    """Samples (n) at which the robot comes to rest outside of beads; each with first and last sample of standing still.
+    """Where (n) the robot comes to rest outside of beads, and each standstill: sample of its rest, first, last sample.
 
-    The exact moment of rest lies between two samples, so rest shows as a speed that is small against the speed
-    0.1 s around it: a slow bead is slow everywhere, and is not mistaken for it.
+    The exact moment of rest lies between two samples, so a rest shows as a speed that is small compared with the speed
+    within 0.1 s of it. A slow bead is slow throughout and is not mistaken for a rest.
     """
     n = len(trajectory)
     change = np.abs(np.diff(trajectory.q, axis=0)).max(axis=1)
@@ -180,11 +180,11 @@ def _between_beads(trajectory: Trajectory, first: Indices, last: Indices) -> tup
     fine: Flags = np.zeros(n, dtype=bool)
     found: list[tuple[int, int, int]] = []
     for a, b in true_runs(slow):
-        # a bead's own end is the better place for the stop, where there is one
+        # an end of a bead is the better place for the stop, if there is one
         at = a + int(np.argmin(np.where(edge[a:b], -1.0, rate[a:b])))
         fine[at] = True
         still = a + np.flatnonzero(change[a : b - 1] < STILL)
-        if len(still):  # and nothing is switched in between
+        if len(still):  # the longest part in which nothing is switched
             parts = np.concatenate([still[:1], a + np.flatnonzero(edge[a:b]), still[-1:] + 1])
             parts = np.unique(np.clip(parts, still[0], still[-1] + 1))
             longest = int(np.argmax(np.diff(parts)))
@@ -194,7 +194,7 @@ def _between_beads(trajectory: Trajectory, first: Indices, last: Indices) -> tup
 
 
 def _sliding_maximum(values: Array, width: int) -> Array:
-    """Largest of each `width` neighbouring values (n), n - width + 1 of them."""
+    """Largest of every `width` neighbouring values (n): n - width + 1 maxima."""
     out, covered = values, 1
     while covered < width:  # each step joins two windows, which may overlap
         step = min(covered, width - covered)
@@ -203,15 +203,16 @@ def _sliding_maximum(values: Array, width: int) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Postures of targets that are turned a little, which may lie beyond the border of a configuration.
+# Postures of targets that are turned a little: the turn may take them across the border of a configuration.
 
-BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
+BLOCK = 20_000  # poses whose postures are computed at once: bounds the memory
 
 
 def reached(plan: Plan, sample: Indices, targets: Poses, turned: Flags) -> Array:
-    """Joints (m, n) [rad] that hold the nozzle at targets (m): the samples' own, but where the target was turned (m).
+    """Joints (m, n) [rad] that hold the nozzle at targets (m): the samples' own, unless the target was turned (m).
 
-    There they are of the same branch, in the nearest turn. Arms whose poses do not say a posture keep the samples'.
+    Turned targets are solved for in the same branch and the nearest turn. Arms whose poses do not determine a posture
+    keep the samples' joints.
     """
     cell, t = plan.cell, plan.trajectory
     na, rails = len(cell.arm), cell.rails
@@ -231,15 +232,15 @@ def reached(plan: Plan, sample: Indices, targets: Poses, turned: Flags) -> Array
 # ----------------------------------------------------------------------------------------------------
 # Moves: the targets that a controller needs, and how each is approached.
 
-ROUNDING = 1e-6  # [m]; what the numbers in the file take of the tolerance of the path
-AXIS_TOLERANCE = np.radians(0.0995)  # of the nozzle's axis [rad]; rounding takes the rest of 0.1 deg
-# Rotation about the nozzle's axis and axes that turn the part: a print does not feel them. A head of 0.1 m swings by 0.4 mm.
+ROUNDING = 1e-6  # [m]; share of the path tolerance that rounding in the file uses up
+AXIS_TOLERANCE = np.radians(0.0995)  # [rad], of the nozzle's axis; rounding uses up the rest of 0.1 deg
+# Rotation about the nozzle's axis and axes that turn the part do not affect the print. A head of 0.1 m swings 0.4 mm.
 FREE_TOLERANCE = np.radians(0.25)  # [rad]
-SLIDE_TOLERANCE = 0.8e-3  # [m], of axes that slide, likewise
-ANGLE_TOLERANCE = np.radians(0.045)  # of joints and orientation, in languages that name joints or axes [rad]
-TRAVEL_TOLERANCE = 0.3e-3  # [m]; moves that lay nothing against the planned tip path
+SLIDE_TOLERANCE = 0.8e-3  # [m], likewise for axes that slide
+ANGLE_TOLERANCE = np.radians(0.045)  # [rad], of joints and orientation in languages that name joints or axes
+TRAVEL_TOLERANCE = 0.3e-3  # [m]; between moves that lay nothing and the planned tip path
 TRAVEL_ANGLE_TOLERANCE = np.radians(0.5)
-RUN_CHORDS = 6.0  # times the chord that runs may leave the planned ones by: they begin and end as low as the bead
+RUN_CHORDS = 6.0  # × chord: tolerance of run-ins and run-outs, no wider because they begin and end as low as the bead
 
 
 @dataclass(frozen=True)
@@ -247,21 +248,21 @@ class Moves:
     """m moves, each to one sample of the trajectory; the first starts where the trajectory does.
 
     sample  (m,)   index of the sample that is the target
-    start   (m,)   index of the sample from which the move sets out: behind a wait, where there is one
+    start   (m,)   index of the sample at which the move starts: after a wait, if there is one
     linear  (m,)   a line or an arc in the part frame; otherwise straight in joint space
     circular (m,)  an arc
-    laid    (m,)   material flows; the controller must keep the speed, elsewhere it accelerates as it likes
-    speed   (m,)   of the tip relative to the part: of a move that lays material, such that each target is passed when
-                   planned (`even_speeds`); peak of any other [m/s]
+    laid    (m,)   material flows, and the controller must keep the speed; elsewhere it accelerates as it likes
+    speed   (m,)   of the tip relative to the part [m/s]: where material is laid, such that each target is passed when
+                   planned (`even_speeds`); otherwise the peak
     turn    (m,)   mean rate of reorientation [rad/s]
-    axis    (m,)   fastest mean rate of the part's axes [rad/s], and of what carries the arm, if that turns
-    slide   (m,)   mean rate of what carries the arm, if that slides [m/s]
+    axis    (m,)   fastest mean rate of the part's axes, and of the arm's carrier if it turns [rad/s]
+    slide   (m,)   mean rate of the arm's carrier if it slides [m/s]
     fine    (m,)   the motion really comes to rest there
-    waits          move → what it waits for at its end, one after the other; -1: before the first move
-    on_end, on_start   (m,)  the extruder goes on at the end (start) of this move
-    off_end            (m,)  it goes off at the end of this move: of a bead, or where its fibre is cut
-    after   (m,)   the move belongs to what comes after this many beads: run-outs still count to their bead
-    targets (m + 1) the start and the target of each move; in beads the nozzle may be turned a little out of a bend (`fit`)
+    waits          move → the waits at its end, in order; -1: before the first move
+    on_end, on_start   (m,)  the extruder is switched on at the end (start) of this move
+    off_end            (m,)  it is switched off at the end of this move: a bead ends, or its fibre is cut
+    after   (m,)   number of beads finished before the move; a run-out still belongs to its bead
+    targets (m + 1) the start, then each move's target; in beads the nozzle may be turned slightly out of a bend (`fit`)
     via     (m) the middle of each arc; the target where there is none
     q       (m + 1, n) joints at the start and the targets [rad]
     """
@@ -290,28 +291,28 @@ class Moves:
 
     @property
     def segments(self) -> LinesAndArcs:
-        """The lines and arcs between targets; of joint moves, the line."""
+        """The lines and arcs between targets; joint moves count as lines."""
         p = self.targets.position
         return segments(p[:-1], self.via.position, p[1:], self.circular)
 
     @property
     def length(self) -> Array:
-        """Of each move, along its line or arc (m) [m]."""
+        """Length of each move along its line or arc (m) [m]."""
         return self.segments.length
 
 
 def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
-    """First and last sample (inclusive) of each stretch with material; ValueError for one that is a single sample."""
+    """First and last sample (inclusive) of each stretch with material; ValueError for a stretch of a single sample."""
     edge = np.diff(np.concatenate([[False], trajectory.deposit, [False]]).astype(np.int8))
     first, last = np.flatnonzero(edge > 0), np.flatnonzero(edge < 0) - 1
     if (first == last).any():
         k = int(first[first == last][0])
-        raise ValueError(f"sample {k} deposits alone: the extruder cannot be switched within one sample")
+        raise ValueError(f"sample {k} deposits by itself: the extruder cannot be switched within one sample")
     return first, last
 
 
 def fed_spans(trajectory: Trajectory) -> tuple[Indices, Indices]:
-    """First and last sample (inclusive) of each stretch that the extruder feeds: a bead, or what of it comes before its cut."""
+    """First and last sample (inclusive) of each stretch that the extruder feeds: a bead, or the part before its cut."""
     first, last = deposits(trajectory)
     for event in cuts(trajectory):
         at = samples_of_rest(trajectory, event)[0]
@@ -320,7 +321,7 @@ def fed_spans(trajectory: Trajectory) -> tuple[Indices, Indices]:
 
 
 class MoveSection(NamedTuple):
-    """What a program has a subroutine for: a bead with the way to it, or the way home.
+    """The moves of one subroutine: a bead and the approach to it, or the way home.
 
     number  of the bead in the whole print, from 1; 0 for the way home
     moves   its moves
@@ -349,22 +350,22 @@ def sections(plan: Plan, moves: Moves) -> Iterator[MoveSection]:
 
 @kept
 def moves_with_arcs(plan: Plan) -> Moves:
-    """Targets of a plan in a language that has circular moves, see `plan_moves`."""
+    """Targets of a plan in a language with circular moves, see `plan_moves`."""
     return plan_moves(plan, arcs=True)
 
 
 @kept
 def moves_of_lines(plan: Plan) -> Moves:
-    """Targets of a plan in a language that has none."""
+    """Targets of a plan in a language without circular moves."""
     return plan_moves(plan)
 
 
 def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None, arcs: bool = False) -> Moves:
     """Targets of a plan, and how each is approached.
 
-    also  samples that are to be targets, too
-    fed   (n) filament that is fed by each sample [m], for which every move that lays material has one rate
-    arcs  the language has circular moves; the problem may still ask for none
+    also  further samples that must be targets
+    fed   (n) filament fed up to each sample [m]; each move that lays material then feeds at one rate
+    arcs  the language has circular moves; the problem may still disable them
     """
     trajectory, program = plan.trajectory, plan.problem.program
     n = len(trajectory)
@@ -373,7 +374,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     way = way_of(plan, rests, fed)
     approach, leave = _flown(way.path, first, last, np.flatnonzero(rests.fine), plan.problem.process.run_in)
 
-    linear = np.zeros(n - 1, dtype=bool)  # of the interval from sample i to i + 1
+    linear = np.zeros(n - 1, dtype=bool)  # whether the interval from sample i to i + 1 is
     for a, b in zip(approach, leave, strict=True):
         linear[a:b] = True
     must = np.zeros(n, dtype=bool)
@@ -382,7 +383,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     if also is not None:
         must[also] = True
     must |= rests.fine
-    must[1:] |= rests.inside[1:] & ~np.append(rests.inside[2:], False)  # where the robot goes on after a wait
+    must[1:] |= rests.inside[1:] & ~np.append(rests.inside[2:], False)  # where the robot moves on after a wait
     must[1:] |= (np.diff(trajectory.bead) != 0) & trajectory.deposit[1:] & trajectory.deposit[:-1]
     must[1:] |= np.diff(trajectory.branch) != 0
     kept = np.flatnonzero(must)
@@ -395,7 +396,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     arc[fitted.sample], middle[fitted.sample] = fitted.circular, fitted.via
 
     a, b = sample[:-1], sample[1:]
-    goes = ~rests.inside[b]  # from one sample of a wait to another there is no move
+    goes = ~rests.inside[b]  # no move between two samples of the same wait
     a, b = a[goes], b[goes]
     took = rests.clock[b] - rests.clock[a]
     leaves, comes = fitted.aim[a], fitted.aim[b]
@@ -411,7 +412,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     length = segments(leaves[:, :3], via[:, :3], comes[:, :3], circular).length
     peaks = np.maximum.reduceat(np.append(np.diff(way.path), 0.0), a) / trajectory.dt
     whole = np.where(laid, np.cumsum(starts[a]), 0)  # the bead that each move belongs to, from 1
-    usual = plan.commanded[trajectory.bead[a]]  # of travel nobody asks for it
+    usual = plan.commanded[trajectory.bead[a]]  # unused for travel
     k = np.concatenate([[0], b])
     targets, turned = Poses(fitted.aim[k]), (fitted.aim[k] != way.pose[k]).any(axis=1)
     return Moves(
@@ -437,16 +438,16 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
 
 
 def run_tolerance(chord: float) -> float:
-    """How far lines and arcs of run-in and run-out may be from the planned ones [m], by that of lines on beads [m]."""
+    """How far lines and arcs may be from the planned run-in and run-out [m], given the chord tolerance on beads [m]."""
     return min(TRAVEL_TOLERANCE, RUN_CHORDS * chord)
 
 
 def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
-    """What the lines and arcs of a program follow, and how nearly; rests and filament are those of `plan_moves`."""
+    """The path that a program's lines and arcs follow, with tolerances; rests and filament as in `plan_moves`."""
     t, program = plan.trajectory, plan.problem.program
     fed = np.zeros(len(t)) if fed is None else fed
-    amount = max(float(np.diff(fed).max(initial=0.0)) / t.dt * TIME_TOLERANCE, 1e-12)  # of filament, out of place [m]
-    # the nozzle may be as far along its path from where it is to be as beside it: on a long chord it is that far of itself
+    amount = max(float(np.diff(fed).max(initial=0.0)) / t.dt * TIME_TOLERANCE, 1e-12)  # misplaced filament [m]
+    # the nozzle may be off by as much along its path as across it; a long chord alone puts it that far off
     time = max(TIME_TOLERANCE, program.chord / float(plan.commanded.max()))
     others = [1.0, time, program.tangent, amount, program.longest]
     turns = plan.cell.limits.turns[list(plan.cell.besides)]
@@ -472,16 +473,16 @@ def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
 # How well moves fit.
 
 
-SHORTER = 1e-6  # s by which the time of a move may be less than the least
+SHORTER = 1e-6  # [s] by which a move may fall short of the least time
 
 
 @dataclass(frozen=True)
 class FitFigures:
-    """Moves that lay material and are not as they should be.
+    """Moves that lay material but miss a requirement.
 
-    short     those that take less than the least time at their programmed speed; shortest: the least of their times [s]
-    wide      those that miss the bead by more than the usual tolerances; off, turned: the nozzle's tip off the bead [m]
-              and its axis off the plan's [rad], at most
+    short     those that take less than the least time at their programmed speed; shortest: the shortest move's time [s]
+    wide      those that miss the bead by more than the usual tolerances; off, turned: their greatest distance of the
+              nozzle's tip from the bead [m], and angle of its axis from the plan's [rad]
     """
 
     short: Indices
@@ -492,7 +493,7 @@ class FitFigures:
 
 
 def fit_of(plan: Plan, moves: Moves, fed: Array | None = None) -> FitFigures:
-    """Which moves of a plan take less than the least time, and which miss their bead for its sake."""
+    """Which moves of a plan take less than the least time, and which exceed the tolerances to meet it."""
     t = plan.trajectory
     rests = rests_of(t, *deposits(t))
     way = way_of(plan, rests, fed)
@@ -518,8 +519,8 @@ def fit_of(plan: Plan, moves: Moves, fed: Array | None = None) -> FitFigures:
 
 
 def _travel_targets(plan: Plan, kept: Indices, linear: Flags, clock: Array, rules: FitRules) -> Indices:
-    """Samples at the ends of joint moves, `kept` among them: the fewest, then fewer where some take less than the least
-    time and wider tolerances allow it."""
+    """Samples at the ends of joint moves, including `kept`: the fewest within tolerance, then fewer still where moves
+    take less than the least time and wider tolerances allow it."""
     joint = by_samples(_Joint(plan))
 
     def judge(a: Indices, b: Indices) -> Array:
@@ -537,7 +538,7 @@ def _travel_targets(plan: Plan, kept: Indices, linear: Flags, clock: Array, rule
         at = np.flatnonzero(spare) + 1
         if not len(at):
             return found
-        begins = np.concatenate([[True], np.diff(at) > 1])  # of those that follow each other, every other one
+        begins = np.concatenate([[True], np.diff(at) > 1])  # of consecutive ones, every other one
         at = at[(at - np.maximum.accumulate(np.where(begins, at, 0))) % 2 == 0]
         good = judge(found[at - 1], found[at + 1]) <= rules.widest
         failed[found[at[~good]]] = True
@@ -545,7 +546,7 @@ def _travel_targets(plan: Plan, kept: Indices, linear: Flags, clock: Array, rule
 
 
 class _Joint:
-    """How far joint moves between two samples miss a third, in tolerances."""
+    """How far joint moves between two samples miss a third one, in tolerances."""
 
     def __init__(self, plan: Plan) -> None:
         self._trajectory, self._cell = plan.trajectory, plan.cell
@@ -571,10 +572,10 @@ def nearest_fraction(a: Array, b: Array, p: Array, otherwise: Array) -> Array:
 
 
 def _flown(path: Array, first: Indices, last: Indices, rests: Indices, run_in: float) -> tuple[Indices, Indices]:
-    """Samples from which, and up to which, each bead's straight run-in and run-out are flown as lines.
+    """First and last sample of the lines along each bead, including its straight run-in and run-out.
 
-    A little more than the run itself: the bead's true end lies up to one sample outside the first one that deposits.
-    A rest nearby is the better place to change from joint to linear motion.
+    Slightly more than the run itself: the bead's true end lies up to one sample outside the first one that deposits.
+    A rest nearby is a better place to change from joint to linear motion.
     """
     reach = 1.05 * run_in + 0.2e-3 if run_in > 0.0 else 0.0
     approach = np.searchsorted(path, path[first] - reach, side="left")
@@ -591,20 +592,20 @@ def _flown(path: Array, first: Indices, last: Indices, rests: Indices, run_in: f
 
 
 # ----------------------------------------------------------------------------------------------------
-# Blends: corners between targets are rounded never into each other, and never beyond a tolerance.
+# Blends: corners between targets are rounded, but blends never overlap and never exceed a tolerance.
 #
 # A blend leaves the line to a target, and joins the next one, at its radius from the target. Whether it is an arc or a
-# parabola, it passes the target at r tan(a / 4), to first order in the angle a by which the lines turn. With half a
-# segment of a polygon that was inscribed in a curve, that is as much as the polygon's middles are off on the other side.
-# Targets beside the path lie on the outer side of its bends, so that what is cut off there leads back towards it.
+# parabola, it passes the target at r tan(a / 4), to first order in the angle a by which the lines turn. If r is half a
+# segment of a polygon inscribed in a curve, that equals the distance of the segments' midpoints from the curve, on the
+# other side. Targets off the path lie on the outer side of its bends, so cutting those corners leads back towards it.
 
-STEP = 1e-6  # [m] to which radii are rounded down
-NEAR_REST = 0.05e-3  # [m] between the place of a rest and a target where the program stops
+STEP = 1e-6  # [m]; radii are rounded down to multiples of it
+NEAR_REST = 0.05e-3  # [m] at most between a target where the program stops and a rest of the plan
 
 
 def blend_radii(primitives: LinesAndArcs, stops: Flags, tolerance: Array) -> Array:
-    """Largest radii (m + 1) [m] at the ends of m primitives that share no part of one and leave each end by at most its
-    tolerance (m + 1).
+    """Largest radii (m + 1) [m] at the ends of m primitives with which blends do not overlap and each stays within its
+    tolerance (m + 1) of the end.
 
     0 at `stops` (m + 1), and at the first and the last end, where the motion comes to rest.
     """
@@ -624,13 +625,13 @@ def move_radii(plan: Plan, moves: Moves) -> Array:
 
 
 def corner_tolerance(plan: Plan, moves: Moves) -> Array:
-    """How far a blend may leave the target of each move (m) [m]."""
+    """How far a blend may pass from the target of each move (m) [m]."""
     out: Array = np.where(moves.linear, plan.problem.program.chord, TRAVEL_TOLERANCE)
     return out
 
 
 def blend_differences(plan: Plan, program: RobotProgram) -> list[str]:
-    """What is wrong with a program's blends and stops, in words; targets of joint moves may be left by more."""
+    """What is wrong with a program's blends and stops, in words; joint moves have a wider tolerance."""
     reach, bend = corners(program.segments)
     lines = program.linear & np.append(program.linear[1:], False)
     allowed = np.where(lines, plan.problem.program.chord, TRAVEL_TOLERANCE)
@@ -652,7 +653,7 @@ def blend_differences(plan: Plan, program: RobotProgram) -> list[str]:
 
 
 def corners(primitives: LinesAndArcs) -> tuple[Array, Array]:
-    """The shorter of both primitives at each of their ends (m + 1) [m], 0 at both ends of all, and by how much they turn
+    """Length of the shorter primitive at each corner (m + 1) [m], 0 at the first and the last end, and the angle turned
     there (m + 1) [rad]."""
     length = primitives.length
     reach, bend = np.zeros(len(length) + 1), np.zeros(len(length) + 1)

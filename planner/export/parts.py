@@ -1,4 +1,4 @@
-"""Programs in parts that a controller can load: sections cut to size, and packed into files."""
+"""Programs split into parts that a controller can load: sections cut to size and packed into files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CONTINUED = "continued"
 
 
 def cut(sections: Iterable[MoveSection], most: int) -> Iterator[MoveSection]:
-    """The sections, those of more than `most` moves in pieces; what follows the first piece is called continued."""
+    """The sections, those of more than `most` moves cut into pieces; all but the first piece are called continued."""
     for section in sections:
         for first in range(section.moves.start, section.moves.stop, most):
             own = range(first, min(first + most, section.moves.stop))
@@ -24,7 +24,7 @@ def cut(sections: Iterable[MoveSection], most: int) -> Iterator[MoveSection]:
 
 
 def packed(items: Iterable[Item], sizes: Iterable[int], most: int, count: int) -> list[list[Item]]:
-    """Items in groups, in their order, of at most `most` in size and `count` items; one that is larger stands alone."""
+    """Items grouped in order, at most `most` in total size and `count` items each; a larger item is a group alone."""
     groups: list[list[Item]] = []
     room = -1
     for item, size in zip(items, sizes, strict=True):
@@ -37,15 +37,15 @@ def packed(items: Iterable[Item], sizes: Iterable[int], most: int, count: int) -
 
 
 def in_files(sections: Iterable[MoveSection], most: int) -> list[list[MoveSection]]:
-    """Sections in groups of at most `most` moves, none of them cut where that can be helped."""
+    """Sections in groups of at most `most` moves; only sections longer than that are cut."""
     pieces = list(cut(sections, most))
     return packed(pieces, (len(piece.moves) for piece in pieces), most, max(1, len(pieces)))
 
 
 def numbered(name: str, k: int, longest: int, separator: str = "_") -> str:
-    """Name of the k-th part of a program, at most `longest` characters; where a print resumes stays in it.
+    """Name of the k-th part of a program, at most `longest` characters; a suffix for where a print resumes is kept.
 
-    In a name that is cut for that, digits stand for all of it: programs of other names have other parts.
+    A name that has to be cut gets digits from a checksum of the whole name, so that parts of other programs differ.
     """
     resumed = re.search(r"(?i)from\d+$", name)
     tail = (resumed[0] if resumed else "") + f"{separator}{k}"
@@ -53,10 +53,10 @@ def numbered(name: str, k: int, longest: int, separator: str = "_") -> str:
     room = longest - len(tail)
     if len(whole) <= room:
         return whole + tail
-    own = f"{crc32(whole.encode()) & 511:03d}"[: max(room - 1, 0)]  # nine bits; a name begins with a letter
+    own = f"{crc32(whole.encode()) & 511:03d}"[: max(room - 1, 0)]  # nine bits; leaves room for the leading letter
     return whole[: room - len(own)] + own + tail
 
 
 def part_about(lines: Sequence[str], k: int, parts: int) -> list[str]:
-    """Header of the k-th of `parts` files: the first two lines of the program's own, and which part it is."""
+    """Header of the k-th of `parts` files: the first two lines of the program's own header, and which part it is."""
     return [*lines[:2], f"Part {k} of {parts}"]

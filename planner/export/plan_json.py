@@ -1,4 +1,4 @@
-"""plan.json: the plan's results, and the cell as screws, so that anyone can recompute every pose without this code."""
+"""plan.json: the plan's results, and the cell as screws, so that every pose can be recomputed without this code."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from planner.problem import Problem
 
 # ----------------------------------------------------------------------------------------------------
-# The section `tolerance`: whether the plan holds where the part stands a little elsewhere.
+# The section `tolerance`: whether the plan still holds if the part is slightly misplaced.
 
-ROBUSTNESS_DECIMALS = 6  # decimals of millimetres and degrees
+ROBUSTNESS_DECIMALS = 6  # of millimetres and degrees
 
 
 def robustness_json(room: Robustness) -> dict[str, Any]:
-    """The section, in the units that its names say."""
+    """The section `tolerance`, in the units that its names give."""
     return {
         "shift_mm": round(room.tolerance.shift * 1e3, ROBUSTNESS_DECIMALS),
         "turn_deg": round(math.degrees(room.tolerance.turn), ROBUSTNESS_DECIMALS),
@@ -66,7 +66,7 @@ def _displacement(each: Displacement) -> dict[str, Any]:
 
 
 def _bound(bound: Bound) -> dict[str, Any]:
-    """A bound; of joints room and change are degrees, of sigma the number itself."""
+    """A bound; room and change are in degrees for joints, plain numbers for sigma."""
     unit = math.degrees(1.0) if bound.joint else 1.0
     return {
         "what": bound.what,
@@ -95,34 +95,34 @@ def _tried(each: TriedDisplacement) -> dict[str, Any]:
 # ----------------------------------------------------------------------------------------------------
 # The whole file.
 
-DIP_DECIMALS = 5  # decimals of what is said of dips
-# What the file holds, in its order.
+DIP_DECIMALS = 5  # of the figures of dips, layers and advice
+# Contents of the file, in order.
 KEYS = {
     "problem": "name of the problem",
     "problem_file": "its file, as it was given; null for waypoints from arrays",
-    "problem_sha256": "SHA-256 of that file as it was read; null where it was read from none",
+    "problem_sha256": "SHA-256 of that file as it was read; null if there was no file",
     "strategy": "the strategy that planned it",
-    "resolved_by": "the strategy whose paths these are: the default takes a simpler one's where that prints better",
-    "first_bead": "index of the first bead that is laid; not 0 where an interrupted print is resumed",
-    "verified": "whether every check holds, within the tolerance too where one was asked for",
+    "resolved_by": "the strategy whose paths these are: the default takes a simpler one's if that prints better",
+    "first_bead": "index of the first bead that is laid; not 0 if an interrupted print is resumed",
+    "verified": "whether every check holds, also within the tolerance if one was requested",
     "checks": "each with name, worst value, limit, unit, ok, and where the worst is",
     "metrics": "by name",
-    "layer_times": "by layer: when it begins, how long it takes, and the age of what it is laid on",
+    "layer_times": "by layer: when it begins, how long it takes, and the age of the beads that it is laid on",
     "notes": "what was left out of the input, or changed in it, in sentences",
-    "nearer": "what nozzle and head keep from part and print, where that is less than usual, and why; only then",
-    "splits": "where drawn beads are laid in pieces, each as a bead; only where process.split_beads made some",
+    "nearer": "the clearance of nozzle and head from part and print, only if it is less than usual, and why",
+    "splits": "where drawn beads are laid in pieces, each as a bead; only if process.split_beads made some",
     "dips": "stretches where the tip is slower than commanded, each with cause and remedies",
     "advice": "changes within bounds that would help most, tried on some slow beads, the best first",
-    "events": "what the extruder and its heating do besides, in order of time",
-    "materials": "what the print takes of each material; only where they have names",
-    "tolerance": "whether the plan holds where the part stands a little elsewhere; only where that was asked for",
+    "events": "further actions of the extruder and its heating, in order of time",
+    "materials": "how much of each material the print takes; only if materials have names",
+    "tolerance": "whether the plan still holds if the part is slightly misplaced; only if that was requested",
     "cell": "the cell as screws: joints with limits, and the frames with all joints at 0 (m, rad)",
     "timing_s": "seconds of computing, by stage",
     "versions": "versions of everything that the result depends on",
-    "baseline": "the metrics of strategy as_published in the same cell; empty where it has no plan",
-    "settings": "seconds between samples, what --set changed, and the names of terms of the user's own, if any",
+    "baseline": "the metrics of strategy as_published in the same cell; empty if that has no plan",
+    "settings": "seconds between samples, what --set changed, and the names of the user's own terms, if any",
     "files": "SHA-256 of each program and table that was written with it, by name: the link runs no others",
-    "refusal": "where there is no plan at all, in place of what follows checks: reason, place and hints",
+    "refusal": "only if there is no plan, in place of all fields after checks: reason, place and hints",
 }
 DIP_KEYS = {
     "bead": "its index",
@@ -133,9 +133,9 @@ DIP_KEYS = {
     "t_s": "when",
     "speed_min_mm_s": "how slow",
     "lost_s": "time lost to it",
-    "joint": "the joint whose limit asks for it; null where none does",
+    "joint": "the joint whose limit causes it; null if none does",
     "limit": "its velocity, acceleration or jerk; else start, end, stop or shape",
-    "over_extruded_mm3": "material too much here",
+    "over_extruded_mm3": "excess material laid here",
     "avoid": "what would avoid it, by kind: fields of the problem file with the values that they would need",
 }
 SPLIT_KEYS = {
@@ -143,14 +143,14 @@ SPLIT_KEYS = {
     "name": "name of the drawn bead",
     "layer": "its index",
     "at_mm": "where it is cut, along the drawn bead",
-    "why": "what ends there: no branch leads on, or which joint would turn further than its range",
+    "why": "why it ends there: no branch leads on, or which joint would turn beyond its range",
 }
-DECIMALS = 12  # of the screws: a picometre; what lies below is rounding that differs from machine to machine
-COUNT_DECIMALS = 9  # of where a controller has a joint's zero [rad]
+DECIMALS = 12  # of the screws: a picometre; anything below is rounding that differs between machines
+COUNT_DECIMALS = 9  # of a controller's offset of a joint's zero [rad]
 
 
 def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
-    """JSON text of a plan; numbers that are not finite become null. files: digests of what is beside it, by name."""
+    """JSON text of a plan; numbers that are not finite become null. files: digests of the files next to it, by name."""
     checks = [
         {"name": c.name, "worst": c.worst, "limit": c.limit, "unit": c.unit, "ok": c.ok, "where": c.where}
         for c in plan.checks
@@ -196,12 +196,12 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
 
 
 def file_as_given(problem: Problem) -> str:
-    """A problem's file, or its name where it ships: wherever the package is, that says the same."""
+    """A problem's file, or just its name if it ships with the package, which is the same wherever that is installed."""
     return problem.file.stem if problem.file.parent == PROBLEMS else problem.file.as_posix()
 
 
 def _layer(each: LayerTimes) -> dict[str, Any]:
-    """A layer in time."""
+    """Times of a layer."""
     return {
         "layer": each.layer,
         "begin_s": round(each.begin, DIP_DECIMALS),
@@ -218,7 +218,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _nearer(plan: Plan) -> dict[str, Any]:
-    """What is kept where it is less than usual; nothing where it is not."""
+    """The clearance kept if it is less than usual; otherwise nothing."""
     if plan.nearer is None:
         return {}
     kept, usual = (round(each * 1e3, DIP_DECIMALS) for each in (plan.nearer.kept, plan.nearer.usual))
@@ -226,7 +226,7 @@ def _nearer(plan: Plan) -> dict[str, Any]:
 
 
 def _splits(plan: Plan) -> dict[str, Any]:
-    """Where drawn beads are cut; nothing where none is."""
+    """Where drawn beads are cut; nothing if none is."""
     rows = [
         {
             "bead": split.bead,
@@ -241,7 +241,7 @@ def _splits(plan: Plan) -> dict[str, Any]:
 
 
 def _dip(dip: Dip) -> dict[str, Any]:
-    """A dip in the units that the names say; of each remedy all its fields, and whether it is exact."""
+    """A dip in the units that the names give; each remedy with all its fields, and whether it is exact."""
     return {
         "bead": dip.bead,
         "layer": dip.layer,
@@ -259,7 +259,7 @@ def _dip(dip: Dip) -> dict[str, Any]:
 
 
 def _advice(each: Advice) -> dict[str, Any]:
-    """A change that was tried, with what it gives on the beads that it was tried on, and at least on the whole print."""
+    """A change that was tried: what it gains on the beads that it was tried on, and at least on the whole print."""
     return {
         "kind": each.kind,
         "field": each.field,
@@ -277,7 +277,7 @@ def _advice(each: Advice) -> dict[str, Any]:
 
 
 def _materials(plan: Plan) -> dict[str, Any]:
-    """What the print takes of each material; nothing where they have no names."""
+    """How much of each material the print takes; nothing if they have no names."""
     rows = [
         {
             "name": each.material.name,
@@ -293,7 +293,7 @@ def _materials(plan: Plan) -> dict[str, Any]:
 
 
 def refusal_json(problem: Problem, strategy: str, refusal: Refusal) -> str:
-    """JSON text where there is no plan: the same first fields, and the refusal with its place."""
+    """JSON text if there is no plan: the same first fields, and the refusal with its place."""
     data = {
         "problem": problem.name,
         "strategy": strategy,
@@ -323,7 +323,7 @@ def _nozzle(cell: Cell, k: int) -> dict[str, Any]:
 
 
 def _controller_counts(cell: Cell) -> list[dict[str, Any]]:
-    """How the controller counts each joint; nothing of one that it counts as the cell does."""
+    """How the controller counts each joint; nothing for a joint that it counts as the cell does."""
     n = len(cell.joint_names)
     zero, one = np.round(cell.counted(np.vstack([np.zeros(n), np.ones(n)])), COUNT_DECIMALS)
     signs = np.rint(one - zero)
@@ -336,11 +336,12 @@ def _controller_counts(cell: Cell) -> list[dict[str, Any]]:
 def cell_screws(cell: Cell) -> dict[str, Any]:
     """Joint screws in the world with all joints at 0 (m, rad), limits, and the two end frames there (4, 4).
 
-    A prismatic joint slides along its direction: its values are metres. A joint that the controller counts otherwise has
-    `controller_sign` and `controller_offset` (sign * q + offset).
+    A prismatic joint slides along its direction; its values are in metres. A joint that the controller counts
+    differently has `controller_sign` and `controller_offset` (sign * q + offset).
 
-    All axes of what holds the part are named as its own robot has them and in that order, with where those stand that
-    are held [rad, m], and it is said if that is an arm; so are those of what carries the arm, if anything does.
+    `holder_axes` lists all axes of the part's holder in the order and by the names of its own robot, with the positions
+    of those that are held [rad, m]; `holder_is_arm` says if it is an arm. `carrier_axes` does the same for the arm's
+    carrier, if there is one.
 
     A pose is the product of exponentials of the screws that move it, in the order given, times its frame at 0.
     """
@@ -378,7 +379,7 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """The same value of JSON's own types; TypeError for what has no such form."""
+    """The same value in JSON's own types; TypeError for a value that has no such form."""
     if value is None or isinstance(value, str):
         return value
     if isinstance(value, (bool, np.bool_)):

@@ -1,4 +1,4 @@
-"""The fewest lines and arcs that keep to a trajectory, none shorter in time than a controller's least."""
+"""The fewest lines and arcs that follow a trajectory within tolerance, none shorter than a controller's least time."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from planner.base.compiled import inner_njit, njit
 from planner.base.processes import in_threads
 
 # ----------------------------------------------------------------------------------------------------
-# What they have to follow, and how nearly.
+# What the primitives follow, and how closely.
 
-# What can keep a primitive short. The chord and the nozzle's axis are what a print feels; rotation about that axis and the
-# station's axes are what it leaves free.
+# What can limit a primitive. The chord and the nozzle's axis affect the print; rotation about that axis and the
+# station's axes do not.
 TERMS = ("chord", "axis", "roll", "station", "time", "tangent", "flow", "length")
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of the nozzle in the part, and the station's axes there, before them what carries the arm.
+    """Poses of the nozzle in the part, with the axes of the arm's carrier and then the station's.
 
-    table (n, 7 + k): position [m], quaternion x y z w, the station's free axes [rad, m]
+    table (n, 7 + k): position [m], quaternion x y z w, free axes of carrier and station [rad, m]
     """
 
     table: Array
@@ -45,16 +45,16 @@ class Poses:
 
 
 class SampledWay(NamedTuple):
-    """A trajectory that is to be followed (n samples), as kernels take it.
+    """A trajectory to follow (n samples), as the kernels take it.
 
     pose       (n, 7 + k) as the table of `Poses`, quaternions sign-continuous
-    aim        (n, 7 + k) what a target would be at each sample: the pose, perhaps turned a little
+    aim        (n, 7 + k) what a target at each sample would be: the pose, perhaps turned a little
     clock      (n)  time without waits [s]
     path       (n)  length [m]
-    fed        (n)  filament that is to flow evenly [m], all 0 for none
-    laid       (n)  material flows: time, tangent and flow count
+    fed        (n)  filament that must flow evenly [m], all 0 for none
+    laid       (n)  material flows: time, tangent and flow matter
     tolerance  (2, 8)  of each of TERMS [m, rad, rad, 1, s, rad, m, m]: where nothing is laid, and where material is
-    free       (k)  of each of the station's axes [rad, m]
+    free       (k)  tolerance of each axis of carrier and station [rad, m]
     """
 
     pose: Array
@@ -71,10 +71,10 @@ class SampledWay(NamedTuple):
 class Fitted:
     """k primitives.
 
-    sample    (k) at which each ends, sorted
+    sample    (k) index of the sample at which each ends, sorted
     circular  (k) an arc; otherwise a straight line
-    via       (k, 3) the middle of the arc [m]; the target's own position for lines
-    aim       (n, 7 + k) what targets are at samples
+    via       (k, 3) the middle of the arc [m]; the target's position for lines
+    aim       (n, 7 + k) what a target at each sample is
     """
 
     sample: Indices
@@ -87,8 +87,8 @@ class FitRules(NamedTuple):
     """How primitives are chosen.
 
     arcs    arcs are allowed
-    least   time that a primitive should take at least [s]
-    widest  tolerances that may be used to that end, as a multiple of the usual ones
+    least   least time that a primitive should take [s]
+    widest  how far tolerances may be widened to that end, as a multiple of the usual ones
     """
 
     arcs: bool
@@ -97,11 +97,12 @@ class FitRules(NamedTuple):
 
 
 def fit(way: SampledWay, first: Indices, last: Indices, rules: FitRules) -> Fitted:
-    """The fewest primitives along each of some stretches, from samples `first` to `last` (s, sorted), with targets at both.
+    """The fewest primitives along stretches from samples `first` to `last` (s, sorted), with targets at both ends.
 
-    The count is the least that the tolerances allow, or nearly, and the primitives' times are as even as they can be with
-    that count. Where some take less than the least time, those around are chosen anew with wider tolerances, by as little
-    as gets them the least time. What remains shorter needs to be, for the tolerances' sake.
+    The count is the least that the tolerances allow, or nearly, and the primitives' times are as even as possible for
+    that count. Where some take less than the least time, they and their neighbours are chosen again with wider
+    tolerances, widened no more than the least time requires. Those that remain shorter are needed to keep to the widest
+    tolerances.
     """
     plain, via = _fitted(way, way, first, last, rules)
     aimed = way._replace(
@@ -114,28 +115,28 @@ def fit(way: SampledWay, first: Indices, last: Indices, rules: FitRules) -> Fitt
 
 
 def misfits(way: SampledWay, first: Indices, last: Indices, circular: Flags, via: Array) -> Array:
-    """How far primitives from samples first to last (k) miss the samples between, in tolerances: (k, 8), by TERMS."""
+    """How far primitives from samples `first` to `last` (k) miss those between, in tolerances: (k, 8), by TERMS."""
     return _misfits(way, first, last, circular, via)
 
 
 # ----------------------------------------------------------------------------------------------------
 # How far one primitive misses the samples that it passes.
 
-NONE, LINE, ARC, AIMED = 0, 1, 2, 4  # the last one is added where the target is not the sample's pose
-LEAST_STEP = 1e-9  # m between samples: a shorter one, at rest, has no direction
-SHORT = 1e-14  # m^2, square of a line's length: a shorter one has no nearest point, and shares follow the samples
-EVEN = 0.01  # rad between quaternions: nearer ones are interpolated evenly, which adds 0.003 deg at most
-# Controllers ask for points of an arc to be 0.1 mm apart, and for 1 deg between via point and end as seen from the
-# beginning, a quarter of what the arc sweeps (ABB, RAPID reference, MoveC); above half a circle via points tell less.
-LEAST_CHORD = 0.4e-3  # m
+NONE, LINE, ARC, AIMED = 0, 1, 2, 4  # AIMED is added where the target is not the sample's pose
+LEAST_STEP = 1e-9  # [m] between samples; a shorter step, at rest, has no direction
+SHORT = 1e-14  # [m^2], squared length; a shorter line has no nearest point, and shares follow the samples
+EVEN = 0.01  # [rad] between quaternions; closer ones are interpolated linearly, which adds 0.003 deg at most
+# Controllers require points of an arc to be 0.1 mm apart, and 1 deg between via point and end as seen from the
+# beginning, a quarter of the swept angle (ABB, RAPID reference, MoveC); beyond half a circle, via points say less.
+LEAST_CHORD = 0.4e-3  # [m]
 LEAST_SWEPT, MOST_SWEPT = np.radians(4.4), np.radians(175.0)
-USUAL_STEP = 8  # samples by which the first primitive of a stretch is lengthened at first
+USUAL_STEP = 8  # samples: first step when the reach of a stretch's first primitive is searched
 HOPELESS = 4.0  # tolerances beyond which an arc's height is not corrected
 
 
 @inner_njit
 def great_arc(a: Array, b: Array) -> tuple[float, float]:
-    """Angle [rad] between the quaternions of poses a and b, 0 if it hardly matters, and the sign that b takes."""
+    """Angle [rad] between the quaternions of poses a and b, 0 if at most EVEN, and the sign to give to b."""
     dot = 0.0
     for j in range(3, 7):
         dot += a[j] * b[j]
@@ -143,12 +144,12 @@ def great_arc(a: Array, b: Array) -> tuple[float, float]:
     return (omega if omega > EVEN else 0.0), (-1.0 if dot < 0.0 else 1.0)
 
 
-# Loops stand in kernels where slices would do: those take seconds each to compile.
+# Kernels use loops where slices would do: each slice takes seconds to compile.
 
 
 @inner_njit
 def _first_from(values: Array, low: int, high: int, value: float) -> int:
-    """The first of values[low] to values[high - 1], ascending, that is not below `value`; `high` where none is."""
+    """Index of the first of values[low:high], ascending, that is not below `value`; `high` if there is none."""
     while low < high:
         middle = (low + high) // 2
         if values[middle] < value:
@@ -158,7 +159,7 @@ def _first_from(values: Array, low: int, high: int, value: float) -> int:
     return low
 
 
-# a plain 0 that is handed on is another type, compiled anew
+# a plain 0 as an argument has another type, for which kernels would be compiled again
 _FIRST: Any = np.int64(0)
 _NONE: Any = np.int64(-1)
 _USUAL: Any = np.int64(USUAL_STEP)
@@ -166,17 +167,17 @@ _USUAL: Any = np.int64(USUAL_STEP)
 
 @inner_njit
 def _copy(source: Indices, first: int, count: int, target: Indices, to: int) -> None:
-    """Copy `count` numbers of `source`, from `first` on, into `target`, from `to` on."""
+    """Copy `count` numbers of `source`, from index `first` on, into `target`, from index `to` on."""
     for j in range(count):
         target[to + j] = source[first + j]
 
 
 @inner_njit
 def _circle(way: SampledWay, a: int, b: int, raised: float, circle: Array) -> bool:
-    """The arc from sample a to b through the middle of the path between, `raised` [m] higher over its chord.
+    """The arc from sample a to b through the middle of the path between, `raised` [m] higher above its chord.
 
-    circle (11): swept angle [rad], radius, centre (3), e1 (3), e2 (3) as in `Segments`; returns whether it is one that
-    controllers take.
+    circle (11): swept angle [rad], radius, centre (3), e1 (3), e2 (3) as in `LinesAndArcs`; returns whether controllers
+    accept it.
     """
     pose, path = way.pose, way.path
     half = 0.5 * (path[a] + path[b])
@@ -219,7 +220,7 @@ def _circle(way: SampledWay, a: int, b: int, raised: float, circle: Array) -> bo
 
 @inner_njit
 def _lean(lx: float, ly: float, lz: float, p: Array, q: Array) -> float:
-    """Tangent of the angle between a direction and the step from pose p to q; 0 where one has no direction."""
+    """Tangent of the angle between a direction and the step from pose p to q; 0 if either has no direction."""
     sx, sy, sz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     if sx * sx + sy * sy + sz * sz <= LEAST_STEP**2:
         return 0.0
@@ -240,9 +241,9 @@ def _worst(out: Array) -> float:
 
 @inner_njit
 def _measure(way: SampledWay, a: int, b: int, circle: Array, most: float, out: Array) -> tuple[float, float]:
-    """How far a line, or where circle[0] > 0 an arc, misses samples a to b: into out (8), in tolerances, by TERMS.
+    """How far a line, or an arc if circle[0] > 0, misses samples a to b: into out (8), in tolerances, by TERMS.
 
-    It ends where one of them is above `most`. Returns by how much the samples lie outside of the arc, and inside [m].
+    Stops as soon as one of them exceeds `most`. Returns how far the samples lie outside the arc, and inside [m].
     """
     pose, clock, path, fed, laid, free = way.pose, way.clock, way.path, way.fed, way.laid, way.free
     tolerance = way.tolerance[1 if laid[a] and laid[b] else 0]
@@ -293,7 +294,7 @@ def _measure(way: SampledWay, a: int, b: int, circle: Array, most: float, out: A
         wa, wb = 1.0 - u, u
         if omega > 0.0:
             wa, wb = np.sin((1.0 - u) * omega) / sine, np.sin(u * omega) / sine
-        # the small rotation from what is made to what is wanted, in the nozzle's frame: twice the vector of its quaternion
+        # small rotation from the interpolated to the wanted orientation, in the nozzle's frame: twice the vector part
         wb *= sign
         mx, my, mz, mw = wa * p[3] + wb * q[3], wa * p[4] + wb * q[4], wa * p[5] + wb * q[5], wa * p[6] + wb * q[6]
         x, y, z, w = pose[k, 3], pose[k, 4], pose[k, 5], pose[k, 6]
@@ -315,16 +316,16 @@ def _measure(way: SampledWay, a: int, b: int, circle: Array, most: float, out: A
 
 @inner_njit
 def _fits(way: SampledWay, a: int, b: int, arcs: bool, most: float, circle: Array, out: Array) -> tuple[int, float]:
-    """Whether a line, or else an arc, meets samples a to b within `most` tolerances, and how far it misses.
+    """Kind of primitive (a line, else an arc) that meets samples a to b within `most` tolerances, and its misfit.
 
-    The arc stays in `circle`. It goes through the middle of the path; where it misses that way, its height is corrected
-    by half the difference of what it misses on both sides.
+    NONE if neither does. The arc is left in `circle`. It passes through the middle of the path; if it misses, its
+    height is corrected by half the difference between the misses on both sides.
     """
     circle[0] = 0.0
     if b - a == 1:
         return LINE, 0.0
     worst, raised = 0.0, 0.0
-    for attempt in range(3):  # a line, an arc, and the arc of another height
+    for attempt in range(3):  # a line, an arc, and the arc with its height corrected
         if attempt and not _circle(way, a, b, raised, circle):
             circle[0] = 0.0
             return NONE, worst
@@ -345,7 +346,7 @@ def _misfits(way: SampledWay, first: Indices, last: Indices, circular: Flags, vi
     for i in range(len(first)):
         a, b = first[i], last[i]
         circle[0] = 0.0
-        if circular[i]:  # the via point stands over the middle of the chord
+        if circular[i]:  # the via point lies above the middle of the chord
             top, half = 0.0, 0.0
             for d in range(3):
                 across[d] = 0.5 * (way.pose[b, d] - way.pose[a, d])
@@ -364,16 +365,16 @@ def _misfits(way: SampledWay, first: Indices, last: Indices, circular: Flags, vi
 
 
 # ----------------------------------------------------------------------------------------------------
-# The fewest between two kept samples, evenly.
+# The fewest primitives between two kept samples, with even times.
 
 
 class _Scratch(NamedTuple):
-    """Memory of the search; n is the most samples between two that are kept.
+    """Working memory of the search; n is the most samples between two kept ones.
 
     circle, out    (11), (8) of `_fits`
-    ahead, behind  (n + 2) targets of a stretch, the farthest from its beginning, and the nearest from its end
-    better         (n + 2) the best stretch of several
-    targets        (n + 2) what has been chosen between two kept samples
+    ahead, behind  (n + 2) targets of a stretch: the farthest from its beginning, and those farthest back from its end
+    better         (n + 2) the best of several stretches
+    targets        (n + 2) chosen so far between two kept samples
     """
 
     circle: Array
@@ -388,8 +389,7 @@ class _Scratch(NamedTuple):
 def _reach(way: SampledWay, a: int, end: int, step: int, arcs: bool, most: float, s: _Scratch) -> int:
     """The farthest sample, up to `end`, that one primitive from sample a reaches; `end` may lie before a.
 
-    What lies between two samples that a primitive joins can be joined by one, too, or nearly always: steps are doubled
-    until one fails, then halved.
+    A part of a primitive that fits nearly always fits, too: steps are doubled until one fails, then halved.
     """
     way_to = 1 if end > a else -1
     good, bad, step = a + way_to, end + way_to, max(step, 1)
@@ -408,13 +408,13 @@ def _reach(way: SampledWay, a: int, end: int, step: int, arcs: bool, most: float
 
 @inner_njit
 def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s: _Scratch) -> int:
-    """Targets from sample first to last into s.ahead, both among them: the fewest; returns how many primitives.
+    """The fewest targets from sample `first` to `last`, both included, into s.ahead; returns the number of primitives.
 
-    The farthest targets from the beginning and the nearest from the end bound where each may be. Within, they are chosen
-    so that what remains of the time is shared evenly by what remains of the primitives.
+    The farthest targets from the beginning and those farthest back from the end bound each target. Within these bounds,
+    each is chosen so that the remaining primitives share the remaining time evenly.
     """
     count, counts = 0, np.zeros(2, dtype=np.int64)
-    for back in range(2):  # the farthest from the beginning, and the nearest from the end
+    for back in range(2):  # as far as possible from the beginning, then from the end
         at, end, count, step = (last, first, 0, _USUAL) if back else (first, last, 0, _USUAL)
         found = s.behind if back else s.ahead
         found[0] = at
@@ -428,10 +428,10 @@ def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s:
             return count
     if counts[0] != counts[1]:
         return counts[0]
-    for j in range((count + 1) // 2):  # in the order of samples
+    for j in range((count + 1) // 2):  # into the order of samples
         s.behind[j], s.behind[count - j] = s.behind[count - j], s.behind[j]
     clock = way.clock
-    for j in range(1, count + 1):  # from here on, behind[j] is the target that is chosen
+    for j in range(1, count + 1):  # behind[j], so far a bound, becomes the chosen target
         before = s.behind[j - 1]
         low, high = (max(s.behind[j], before + 1), s.ahead[j]) if j < count else (last, last)
         ideal = clock[before] + (clock[last] - clock[before]) / (count - j + 1)
@@ -441,7 +441,7 @@ def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s:
             if kind != NONE:
                 break
             if b <= low:
-                return count  # a part of a primitive that fits need not fit: the farthest targets stay
+                return count  # part of a primitive that fits need not fit: keep the farthest targets
             b = (low + b) // 2
         s.behind[j] = b
     _copy(s.behind, _FIRST, count + 1, s.ahead, _FIRST)
@@ -451,14 +451,14 @@ def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s:
 # ----------------------------------------------------------------------------------------------------
 # The least time.
 
-ON_TIME = 1e-9  # s by which a sum of sample times may miss the least time
-WIDER = 1.26  # times as wide as before, a cube root of two, is the next tolerance that is tried
-AROUND = (1, 3)  # primitives before and behind those that are too short, which are chosen anew with them
+ON_TIME = 1e-9  # [s] by which a sum of sample times may miss the least time
+WIDER = 1.26  # ratio of each tolerance tried to the previous one, the cube root of two
+AROUND = (1, 3)  # primitives before and after those that are too short, chosen again with them
 
 
 @inner_njit
 def _too_short(way: SampledWay, targets: Indices, first: int, last: int, least: float) -> int:
-    """How many of the primitives first to last (exclusive) between `targets` take less than the least time."""
+    """How many of the primitives `first` to `last` (exclusive) between `targets` take less than the least time."""
     found = 0
     for j in range(first, last):
         found += way.clock[targets[j + 1]] - way.clock[targets[j]] < least - ON_TIME
@@ -467,10 +467,10 @@ def _too_short(way: SampledWay, targets: Indices, first: int, last: int, least: 
 
 @inner_njit
 def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
-    """Mend primitives shorter than the least time among the `count` between s.targets; returns how many there are then.
+    """Mend primitives shorter than the least time among the `count` between s.targets; returns the new count.
 
-    Those that follow each other, with some before and behind, are chosen anew with wider and wider tolerances, until
-    none is too short. Where that never happens, those tolerances are taken that leave the fewest.
+    Consecutive ones, with some before and after, are chosen again with wider and wider tolerances until none is too
+    short. If that never happens, the tolerances that leave the fewest are taken.
     """
     t, i = s.targets, 0
     while i < count:
@@ -491,7 +491,7 @@ def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
                     _copy(s.ahead, _FIRST, n + 1, s.better, _FIRST)
                 most = min(WIDER * most, rules.widest) if most < rules.widest else np.inf
         if chosen >= 0:
-            _copy(t, high, count + 1 - high, s.ahead, _FIRST)  # what follows
+            _copy(t, high, count + 1 - high, s.ahead, _FIRST)  # the targets that follow
             _copy(s.better, _FIRST, chosen, t, low)
             _copy(s.ahead, _FIRST, count + 1 - high, t, low + chosen)
             count, end = count + chosen - (high - low), low + chosen
@@ -501,7 +501,7 @@ def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
 
 @inner_njit
 def _chosen(way: SampledWay, first: int, last: int, rules: FitRules, s: _Scratch) -> int:
-    """Targets from sample first to last into s.targets; returns how many primitives they bound."""
+    """Targets from sample `first` to `last` into s.targets; returns the number of primitives."""
     count = _stretch(way, first, last, rules.arcs, 1.0, s)
     _copy(s.ahead, _FIRST, count + 1, s.targets, _FIRST)
     return _lengthen(way, count, rules, s)
@@ -512,7 +512,7 @@ def _fitted(
 ) -> tuple[Indices, Array]:
     """Kind (n) of the primitive that ends at each sample, 0 for none, and its via point (n, 3).
 
-    In each stretch targets are those of `way` or of `aimed`, whichever leaves fewer that are too short, or is fewer.
+    Each stretch takes its targets from `way` or `aimed`, whichever leaves fewer too short, or else needs fewer.
     """
     n = len(way.clock)
     kind, via = np.zeros(n, dtype=np.int64), np.zeros((n, 3))
@@ -560,18 +560,18 @@ def _fit(
 # Targets turned outwards, so that fewer are enough.
 #
 # Between two targets a controller turns the nozzle evenly, and so misses the orientations of a bend on one side only.
-# Where both targets are turned out of the bend by half of what it may miss, the primitive may be longer by a factor of
-# sqrt(1.5) and still miss by no more.
+# If both targets are turned out of the bend by half the tolerance, the primitive may be longer by a factor of sqrt(1.5)
+# and still miss by no more.
 
-OFF = 0.5  # of the tolerance: how far targets may be turned
+OFF = 0.5  # × the tolerance: how far targets may be turned
 SHARE = (
-    0.5  # of what a usual primitive misses at its middle; it is within its tolerance, so that this is within OFF of it
+    0.5  # × a usual primitive's miss at its middle; since that is within tolerance, the turn is within OFF tolerances
 )
-TINY = 1e-15  # keeps what is not turned from dividing by nothing
+TINY = 1e-15  # avoids a division by zero where nothing is turned
 
 
 def _half_of_usual(kind: Indices, first: Indices, last: Indices, n: int) -> Array:
-    """Half of a usual primitive around each sample (n) [samples], never beyond the ends of its stretch; 0 elsewhere."""
+    """Half the length of a usual primitive around each sample (n) [samples], within its stretch; 0 elsewhere."""
     at, sample = np.arange(n), np.flatnonzero(kind)
     out: Array = np.zeros(n)
     if len(sample) < 2:
@@ -586,7 +586,7 @@ def _half_of_usual(kind: Indices, first: Indices, last: Indices, n: int) -> Arra
 
 @inner_njit
 def _at(values: Array, place: float, out: Array) -> None:
-    """Row of values at a place between two samples."""
+    """Row of values interpolated at a place between two samples, into out."""
     i = min(int(place), len(values) - 2)
     for j in range(values.shape[1]):
         out[j] = values[i, j] + (place - i) * (values[i + 1, j] - values[i, j])
@@ -594,9 +594,9 @@ def _at(values: Array, place: float, out: Array) -> None:
 
 @njit
 def _outwards(way: SampledWay, reach: Array, most: float) -> Array:
-    """Poses turned out of bends by half of what a usual primitive misses there, by `most` [rad] at most.
+    """Poses turned out of bends by half of a usual primitive's miss there, by at most `most` [rad].
 
-    reach (n) is half of a usual primitive around each sample, in samples; 0 leaves the target as it is.
+    reach (n): half of a usual primitive around each sample, in samples; 0 leaves the target as it is.
     """
     pose, out = way.pose, way.pose.copy()
     a, b, off = np.empty(pose.shape[1]), np.empty(pose.shape[1]), np.zeros(7)
@@ -610,7 +610,7 @@ def _outwards(way: SampledWay, reach: Array, most: float) -> Array:
         turned = 0.0
         for j in range(3, 7):
             off[j] = SHARE * (pose[k, j] - w * (a[j] + sign * b[j]))
-            turned += 4.0 * off[j] ** 2  # a rotation is twice the angle of its quaternions
+            turned += 4.0 * off[j] ** 2  # a rotation is twice the angle between its quaternions
         scale = min(1.0, most / max(np.sqrt(turned), TINY))
         norm = 0.0
         for j in range(3, 7):

@@ -1,4 +1,4 @@
-"""A robot program as its reader gives it, whatever its language; and the header that every program has."""
+"""A robot program as read from any language, and the header that every program has."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from planner.problem import Problem
 
 # ----------------------------------------------------------------------------------------------------
-# What decides whether a language supports a plan, known before there is one: the problem and its cell.
+# What decides whether a language supports a plan, known before planning: the problem and its cell.
 
 
 class Setup(Protocol):
@@ -29,18 +29,18 @@ class Setup(Protocol):
 
     @property
     def problem(self) -> Problem:
-        """What was asked for."""
+        """The problem to solve."""
         ...
 
     @property
     def cell(self) -> Cell:
-        """The robots that it is asked of."""
+        """The robots that solve it."""
         ...
 
 
 @dataclass(frozen=True)
 class ProblemSetup:
-    """Problem and cell, before they are planned with."""
+    """Problem and cell, before planning."""
 
     problem: Problem
     cell: Cell
@@ -51,7 +51,7 @@ class ProblemSetup:
 
 
 def about(plan: Plan) -> list[str]:
-    """Problem, versions, size, where it resumes, and what was verified, line by line."""
+    """Header lines: problem, versions, size, where it resumes, and what was verified."""
     m = plan.metrics
     return [
         f"Problem {plan.name}, strategy {plan.strategy}",
@@ -66,13 +66,13 @@ def about(plan: Plan) -> list[str]:
 
 
 def made_with(plan: Plan) -> list[str]:
-    """Versions of what the plan was made with, in as many comments as they need."""
+    """Versions of the software that made the plan, in as many comment lines as needed."""
     versions = ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items()))
     return textwrap.wrap(versions, LONGEST_COMMENT, break_on_hyphens=False)
 
 
 def resumed(plan: Plan) -> list[str]:
-    """Lines that say where the rest of a print begins, and which pause comes before its start; none for a whole one."""
+    """Lines that say where the rest of a print begins, and which pause precedes its start; none for a whole print."""
     if not plan.first_bead:
         return []
     pause = plan.pause_left_out
@@ -83,7 +83,7 @@ def resumed(plan: Plan) -> list[str]:
 
 
 def held_by(cell: Cell) -> list[str]:
-    """Lines that say where all axes stand of what holds the part, where the controller moves none; none for other cells."""
+    """Lines with the axis positions of the part's holder if the controller moves none of them; none for other cells."""
     robot = cell.holder_robot
     if robot is None or cell.station is not None:
         return []
@@ -93,7 +93,7 @@ def held_by(cell: Cell) -> list[str]:
         cell.held[name] * 1e3 if slides else np.degrees(cell.held[name])
         for name, slides in zip(robot.joint_names, robot.slides, strict=True)
     ]
-    # no line ends between a name and its value
+    # never break a line between a name and its value
     joints = ", ".join(f"{name}\xa0{place:g}" for name, place in zip(robot.joint_names, places, strict=True))
     lines = textwrap.wrap(joints, LONGEST_COMMENT - 2, break_on_hyphens=False)
     return [*textwrap.wrap(title, LONGEST_COMMENT), *("  " + line.replace("\xa0", " ") for line in lines)]
@@ -107,12 +107,12 @@ def verified(plan: Plan) -> list[str]:
 # ----------------------------------------------------------------------------------------------------
 # A program that was read.
 
-UNSPECIFIED = -128  # in place of a part of a configuration that a language leaves open
+UNSPECIFIED = -128  # stands for a part of a configuration that a language leaves open
 
 
 @dataclass(frozen=True)
 class Trigger:
-    """Switches the extruder of a digital output `distance` [m] from the end of a move, or from its start."""
+    """Switches an extruder's digital output at `distance` [m] from the end of a move, or from its start."""
 
     distance: float
     from_start: bool
@@ -126,26 +126,26 @@ class RobotProgram:
 
     tool, uframe, oframe       (7,) x y z [m], quaternion x y z w
     station                    mechanical unit that moves the part; empty for a fixed bed
-    start                      (12,) joints and station axes of the first move [rad], NaN where unused; likewise
-    approach                   (4,) speed of that move, as `speed`; None where a program does not say
-    bead                       (m,) whose procedure the move stands in, that of its bead or on the way there, -1 for none; None
-                               where a reader does not tell
-    second                     (m + 1, 4) likewise of the arm that moves the part, by its flange in the world: of its way to the
-                               start, then of each move; None where no arm does
-    linear, fine               (m,) bool; what is not linear goes straight in joint space
+    start                      (12,) joints and station axes of the first move [rad], as `external`; NaN where unused
+    approach                   (4,) speed of that move, as `speed`; None if the program does not give it
+    bead                       (m,) bead whose procedure contains the move, on the bead or on the way to it, -1 for
+                               none; None if the reader does not report it
+    second                     (m + 1, 4) speeds, as `speed`, of the flange (in the world) of an arm that moves the
+                               part: on its way to the start, then of each move; None without such an arm
+    linear, fine               (m,) bool; a move that is not linear is straight in joint space
     position, quat             (m, 3) [m], (m, 4) x y z w
     conf                       (m, 4) cf1, cf4, cf6, cfx; UNSPECIFIED where the language has none
-    external                   (m, 6) station axes [rad], NaN where unused. Which of them slide a program does not say: their
-                               mm were read as degrees, see `external_read`
-    zone                       (m,) radius of the corner zone at the target [m]; 0 where the motion comes to rest,
-                               NaN where it has no distance
-    speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotating axes [rad/s]
+    external                   (m, 6) station axes [rad], NaN where unused. A program does not say which of them slide,
+                               so mm of sliding axes are read as degrees, see `external_read`
+    zone                       (m,) radius of the corner zone at the target [m]; 0 where the motion comes to rest, NaN
+                               if it is not given as a distance
+    speed                      (m, 4) tip [m/s], reorientation [rad/s], linear axes [m/s], rotary axes [rad/s]
     wait                       (m,) time at rest after the move [s]
     triggers                   move → its triggers, in order
-    arcs                       (m, 3) of linear moves that are arcs, a point on the way [m]; NaN for all others, None for no arcs
-    arc_postures               (m, 14) what else is said of these points: quaternion x y z w, cf1, cf4, cf6, cfx, and station axes
-                               [rad]; None where a language does not have it
-    joints                     (m, n) of the arm at targets of joint moves, where the language has them [rad]
+    arcs                       (m, 3) via points of linear moves that are arcs [m], NaN for others; None without arcs
+    arc_postures               (m, 14) further data of the via points: quaternion x y z w, cf1, cf4, cf6, cfx, and
+                               station axes [rad]; None if the language has none
+    joints                     (m, n) of the arm at targets of joint moves, if the language gives them [rad]
     demands                    move → (distance [m] from its end, value that an analog output takes there), in order
     sends                      move → strings sent to the extruder's board after it, in order; -1: before the first
     send_rests                 move → for each of them, how long the robot has rested there when it is sent [s]
@@ -184,18 +184,18 @@ class RobotProgram:
 
     @property
     def via(self) -> Array:
-        """(m, 3) points on the way of arcs, and targets of all other moves [m]."""
+        """(m, 3) via points of arcs, and targets of all other moves [m]."""
         return self.position if self.arcs is None else np.where(np.isnan(self.arcs), self.position, self.arcs)
 
     @property
     def segments(self) -> LinesAndArcs:
-        """The lines and arcs (m - 1) from each target to the next; of joint moves, the line."""
+        """The lines and arcs (m - 1) from each target to the next; joint moves count as lines."""
         p = self.position
         return segments(p[:-1], self.via[1:], p[1:], self.circular[1:])
 
 
 # ----------------------------------------------------------------------------------------------------
-# The same cut where the extruder is switched.
+# A program cut into pieces where the extruder is switched.
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ class ProgramPiece:
     """Targets (m) between two extruder events, both included, and moves (m - 1) from each to the next.
 
     linear, circular, via, speed  (m - 1) of the moves
-    known                         (m) a target of the program, not a point where a trigger cuts a move
+    known                         (m) a target of the program rather than a point where a trigger cuts a move
     """
 
     position: Array
@@ -283,7 +283,7 @@ def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:
 
 
 def named(program: RobotProgram, numbers: dict[str, int]) -> RobotProgram:
-    """The program with signals in place of their outputs' numbers; a number that is none of theirs stays."""
+    """The program with output numbers replaced by their signals; other numbers stay."""
     names = {str(number): signal for signal, number in numbers.items()}
     return replace(
         program,

@@ -1,4 +1,4 @@
-"""Check of a program that was read and played against its plan: path, pace, switches and waits."""
+"""Check of a program, as read and played, against its plan: path, pace, switching and waits."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ if TYPE_CHECKING:
 # ----------------------------------------------------------------------------------------------------
 # Waits: the program stands still where the plan does, and for as long.
 
-PLACE = 0.05e-3  # m between the nozzle's tip and the target at which it waits
-DOUBT = 2.0  # samples: to these a rest is known whose length no event gives
+PLACE = 0.05e-3  # [m] at most between the nozzle's tip and the target at which it waits
+DOUBT = 2.0  # samples: accuracy of a rest's length if no event gives it
 
 
 def waits_differ(plan: Plan, program: RobotProgram) -> float:
     """Longest time [s] by which a wait of the program is longer or shorter than the plan's.
 
-    inf where the number of waits, their order or their places differ, where the robot would not come to rest for one,
-    or where it does not come to rest on a straight line where fibre is cut.
+    inf if the number of waits, their order or their places differ, if the robot would not come to rest for one, or if
+    it does not come to rest on a straight line where fibre is cut.
     """
     t = plan.trajectory
     rests = [*_before_and_between_beads(t), *((event.start, event.duration, 0.0) for event in cuts(t))]
@@ -71,12 +71,12 @@ def waits_differ(plan: Plan, program: RobotProgram) -> float:
 
 
 def moving_time(t: Trajectory) -> Array:
-    """Time (n) [s] of every sample without the rests within beads."""
+    """Time (n) [s] of each sample without the rests within beads."""
     return t.t - t.t[0] - rested_in_beads(t)
 
 
 def _before_and_between_beads(t: Trajectory) -> list[tuple[float, float, float]]:
-    """Start, duration and doubt [s] of each time that the robot stands still while nothing is laid."""
+    """Start, duration and its uncertainty [s] of each standstill while nothing is laid."""
     still = (np.abs(np.diff(t.q, axis=0)).max(axis=1) < STILL) & ~(t.deposit[1:] & t.deposit[:-1])
     found = []
     for a, b in true_runs(still).tolist():
@@ -92,47 +92,46 @@ def _before_and_between_beads(t: Trajectory) -> list[tuple[float, float, float]]
 # ----------------------------------------------------------------------------------------------------
 # Path: the lines of the program against the samples of the plan.
 
-CLOSE = 3e-5  # [m] between samples, which rounding and played targets confuse
-OTHERS = 4.0  # samples to a side that may be taken for a target's own there, at most
-LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
-WINDOWS = (6, 64)  # samples to either side within which a target's own sample is sought, the second if need be
-FOUND = 1e-6  # m, between a target and its sample: the right one, be it at the edge of its window
-ASTRAY = 4e-5  # m: beyond, the whole piece is searched; targets beside the path are nearer, with angle and lever
+CLOSE = 3e-5  # [m] between samples: rounding and playing may confuse closer ones
+OTHERS = 4.0  # samples to either side, at most, that may there be mistaken for a target's own
+LEVER = 0.05  # [m/rad]: weight with which turning counts as path, for where the tip stands still
+WINDOWS = (6, 64)  # samples to either side among which a target's own is searched; the second only if need be
+FOUND = 1e-6  # [m] between a target and its sample: this close it is the right one, even at the edge of its window
+ASTRAY = 4e-5  # [m]: beyond, the whole piece is searched; targets off the path are closer, even with LEVER × angle
 ROUNDED_UP = 1.0 + 1e-9
-BORDER = 0.01  # rad of a joint from the end of a quarter turn, within which a target beside the path may be beyond it
-BLOCK = 200_000  # samples looked at, and
+BORDER = 0.01  # [rad] from the end of a joint's quarter turn within which a target off the path may have crossed it
+BLOCK = 200_000  # samples examined, and
 PIECES = 64  # pieces compared at once: bounds the memory
 
 
-ROUNDED = 5e-6  # m by which a path may be off by the numbers in a file, and by joints that carry the nozzle
-# rad, of the fields of `Agreement`, before they are widened; where the path turns quickly, it counts which sample is taken
+ROUNDED = 5e-6  # [m] by which rounding in the file, and in the joints that carry the nozzle, may shift a path
+# [rad]; limits of `Agreement` before widening, with a margin: the choice of sample matters where the path turns quickly
 AXIS, SWING, FREE = np.radians(0.105), np.radians(0.51), np.radians(0.26)
-PACE = 2e-3  # m/s: speeds of travel are rounded up to whole mm/s
-BESIDE = 2  # samples by which a target may be beside its own one
-LATE_TARGET = 12e-3  # s
+PACE = 2e-3  # [m/s]: speeds of travel are rounded up to whole mm/s
+BESIDE = 2  # samples by which the one found for a target may be off
+LATE_TARGET = 12e-3  # [s]
 
 
 @dataclass(frozen=True)
 class Agreement:
     """The worst differences between a program and its plan (m, rad); inf where they cannot be compared.
 
-    widest    how far lines and arcs that lay material were allowed to leave the path; the rest is as wide as the plan's
-              `widening` makes it
-    path      where material is laid: targets off the planned path, and the path off the lines and arcs between targets
-    travel    likewise elsewhere; joint moves: the planned tip path off the one that straight joint motion makes
-    axis      the nozzle's axis where material is laid, and that of every target; also tool and work object
+    widest    how far lines and arcs that lay material may leave the path; `widening` scales the other tolerances
+    path      where material is laid: targets from the planned path, and that path from the lines and arcs between them
+    travel    likewise elsewhere; for joint moves, the planned tip path from that of straight joint motion
+    axis      the nozzle's axis where material is laid, and at every target; also tool and work object
     swing     the nozzle's axis along linear moves that lay nothing
     roll      rotation about the nozzle's axis along linear moves
-    external  the part's axes, likewise
-    event     where the extruder is switched, against the sample where deposit begins or ends
+    external  likewise for the part's axes
+    event     where the extruder is switched, from the sample where deposition begins or ends
     frames    positions of tool and work object; the first posture, times 1 m/rad
     late      time by which a target in a bead is passed earlier or later than planned, by programmed speeds [s]
-    wait      how long the robot stands still, wherever it does [s]
-    conf      targets whose configuration is not that of the plan's posture
-    output    times that another output is switched than that of the bead's material
-    pace      programmed speed of travel moves off the plan's greatest within them, where the language has one [m/s]
-    swerves   moves in beads that are neither lines nor arcs
-    bent      arcs whose point on the way is an end of theirs: controllers refuse to start them
+    wait      how long the robot stands still, at each wait [s]
+    conf      number of targets whose configuration is not that of the plan's posture
+    output    how often an output other than that of the bead's material is switched
+    pace      programmed speed of travel moves from the plan's greatest within them, if the language gives one [m/s]
+    swerves   number of moves in beads that are neither lines nor arcs
+    bent      number of arcs whose via point is one of their ends: controllers refuse to start them
     """
 
     widest: float
@@ -217,10 +216,10 @@ def compare(plan: Plan, program: RobotProgram) -> Agreement:
 
 @dataclass(frozen=True)
 class _Match:
-    """All pieces in one row (m targets), and which samples they stand for.
+    """All pieces in a row (m targets), and the samples that their targets stand for.
 
-    all               the pieces' targets, one after the other; what belongs to moves has a last one too many per piece
-    ways              (m - 1) from each target to the next, also from piece to piece, where there is none
+    all               the pieces' targets, one after the other; per-move data has one surplus entry at each piece's end
+    ways              (m - 1) from each target to the next; those from piece to piece are no moves
     targets, cuts     (p + 1) first target of each piece, first sample of each piece; a piece's last sample is the
                       first one of the next
     piece, at         (m) piece of each target, and its own sample
@@ -235,7 +234,7 @@ class _Match:
 
 
 def _matched(plan: Plan, pieces: Sequence[ProgramPiece], cuts: Indices) -> _Match:
-    """Pieces against the samples between the extruder's events `cuts`."""
+    """Pieces matched with the samples between the extruder's events at `cuts`."""
     trajectory = plan.trajectory
     rows = ProgramPiece(
         position=np.concatenate([piece.position for piece in pieces]),
@@ -266,7 +265,7 @@ def _external(plan: Plan, samples: Indices) -> Array:
 
 
 def _targets(plan: Plan, match: _Match) -> Array:
-    """Worst (path, travel, axis, swing, roll, external) of the targets against the planned path around their samples."""
+    """Worst (path, travel, axis, swing, roll, external) of targets against the planned path around their samples."""
     tip, rows = plan.trajectory.tip, match.all
     least, most = match.cuts[match.piece], match.cuts[match.piece + 1]
     off, leant, rolled, shifted = [], [], [], []
@@ -289,7 +288,7 @@ def _targets(plan: Plan, match: _Match) -> Array:
 
 
 def _lines(plan: Plan, match: _Match) -> Array:
-    """Worst (path, travel, axis, swing, roll, external) of the planned samples against lines and arcs between targets."""
+    """Worst (path, travel, axis, swing, roll, external) of planned samples against lines and arcs between targets."""
     worst, laid = np.zeros(6), plan.trajectory.deposit
     for first in range(0, len(match.cuts) - 1, PIECES):
         pieces = np.arange(first, min(first + PIECES, len(match.cuts) - 1))
@@ -313,7 +312,7 @@ def _lines(plan: Plan, match: _Match) -> Array:
 
 
 def _straight(plan: Plan, match: _Match, a: Indices, s: Indices) -> tuple[float, float, float, float]:
-    """Worst distance [m], lean, roll, and external axes [rad, m] of samples s (n) off the ways from targets a (n) on."""
+    """Worst distance [m], lean, roll, and external axes [rad, m] of samples s (n) from the ways after targets a (n)."""
     rows, tip = match.all, plan.trajectory.tip
     ways, external = match.ways.take(a), _external(plan, s)
     u = ways.fraction(tip[s], _share(match.at, a, s))
@@ -324,7 +323,7 @@ def _straight(plan: Plan, match: _Match, a: Indices, s: Indices) -> tuple[float,
 
 
 def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
-    """Worst distance of samples s (n) from the tip paths of joint moves from targets a (n) to the next ones."""
+    """Worst distance [m] of samples s (n) from the tip paths of joint moves that begin at targets a (n)."""
     q = plan.trajectory.q
     at_targets = q[match.at]
     u = nearest_fraction(at_targets[a], at_targets[a + 1], q[s], _share(match.at, a, s))
@@ -333,15 +332,15 @@ def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
 
 
 def _late(plan: Plan, match: _Match) -> float:
-    """Longest time by which programmed speeds alone pass a target of a bead earlier or later than planned [s].
+    """Longest time by which, at programmed speeds, a target of a bead is passed earlier or later than planned [s].
 
-    Where samples stand close, as before a rest, a target's own sample is known only to those within CLOSE of it.
+    Where samples lie within CLOSE of each other, as before a rest, a target's own sample is uncertain by OTHERS.
     """
     trajectory, at = plan.trajectory, match.at
     clock, tip = moving_time(trajectory), trajectory.tip
     took = match.ways.length / np.where(match.all.speed[:-1] > 0.0, match.all.speed[:-1], np.inf)
     run = np.concatenate([[0.0], np.cumsum(took)])
-    # pieces are travel and beads in turn; what is laid behind a cut is a travel's, and counts from its bead's beginning
+    # pieces alternate: travel, bead; what is laid after a cut is in a travel piece, but timed from its bead's start
     first = match.targets[np.maximum(match.piece - (match.piece % 2 == 0), 0)]
     programmed = run - run[first]
     planned = clock[at] - clock[at[first]]
@@ -353,9 +352,9 @@ def _late(plan: Plan, match: _Match) -> float:
 
 
 def _within(plan: Plan, match: _Match) -> tuple[Flags, Flags]:
-    """Ways (m - 1) in beads, and in travel; those from a piece to the next are none.
+    """Ways (m - 1) in beads, and in travel; those from one piece to the next are neither.
 
-    What lies behind a fibre's cut is laid like the rest of its bead, though nothing is fed there.
+    The part of a bead after its fibre is cut is laid like the rest, though nothing is fed there.
     """
     own = match.piece[1:] == match.piece[:-1]
     bare = np.cumsum(~plan.trajectory.deposit)
@@ -364,7 +363,7 @@ def _within(plan: Plan, match: _Match) -> tuple[Flags, Flags]:
 
 
 def _bent(match: _Match) -> int:
-    """How many arcs have their point on the way at one of their ends."""
+    """How many arcs have their via point at one of their ends."""
     rows = match.all
     ends = np.stack([rows.position[:-1], rows.position[1:]])
     near = np.linalg.norm(ends - rows.via[:-1], axis=2).min(axis=0) <= ROUNDED
@@ -372,9 +371,9 @@ def _bent(match: _Match) -> int:
 
 
 def _travel_pace(plan: Plan, match: _Match) -> float:
-    """How far the programmed speed of a travel move is off the plan's greatest within it, at worst [m/s].
+    """Worst difference of a travel move's programmed speed from the plan's greatest within it [m/s].
 
-    Which sample is a target's own is known to BESIDE. Speeds from FAST on are those that a language leaves open.
+    A target's own sample is known to within BESIDE. Speeds from FAST on stand for those that a language leaves open.
     """
     speed = match.all.speed[:-1]
     step = np.linalg.norm(np.diff(plan.trajectory.tip, axis=0), axis=1) / plan.trajectory.dt
@@ -395,9 +394,9 @@ def _travel_pace(plan: Plan, match: _Match) -> float:
 
 
 def _wrong_configurations(plan: Plan, match: _Match) -> int:
-    """How many targets have another configuration than the plan's postures have around them, or hardly miss.
+    """How many targets have a configuration that no planned posture around them has, or nearly has.
 
-    Targets beside the path may lie beyond the border of a quarter turn: whether they do, the player knows.
+    Targets off the path may have crossed the border of a quarter turn; the player checks whether they have.
     """
     trajectory = plan.trajectory
     least, most = match.cuts[match.piece], match.cuts[match.piece + 1]
@@ -413,7 +412,7 @@ def _wrong_configurations(plan: Plan, match: _Match) -> int:
 
 
 def _wrong_outputs(plan: Plan, program: RobotProgram, first: Indices) -> int:
-    """How many times another output is switched than that of the bead that begins at, or ends after, sample first (b)."""
+    """How often an output is switched that is not that of the bead; `first` (b): samples at which beads begin."""
     outputs = by_bead(plan, list(output_numbers(plan.problem)))
     own = [outputs[k] for k in plan.trajectory.bead[first].tolist()]
     wrong = 0
@@ -437,7 +436,7 @@ def _unit(quat: Array) -> Array:
 
 @dataclass(frozen=True)
 class _PosesAlong:
-    """Positions (n, 3) [m], orientations (n, 4), and the lengths (n - 1) of the ways between [m]."""
+    """Positions (n, 3) [m], orientations (n, 4), and the lengths (n - 1) of the ways between them [m]."""
 
     position: Array
     quat: Array
@@ -445,12 +444,12 @@ class _PosesAlong:
 
     @property
     def way(self) -> Array:
-        """Way (n) to each [m]."""
+        """Distance travelled up to each pose (n) [m], with turning counted by LEVER."""
         return np.concatenate([[0.0], np.cumsum(self.steps + LEVER * angle(self.quat[1:], self.quat[:-1]))])
 
 
 def _own_samples(written_poses: _PosesAlong, samples: _PosesAlong, targets: Indices, cuts: Indices) -> Indices:
-    """Sample of each target, ascending: the nearest one, around the place that the way travelled so far points to.
+    """Sample of each target, ascending: the nearest one around the place suggested by the distance travelled.
 
     targets, cuts (p + 1) are the first target and the first sample of each piece (see `_Match`).
     """
@@ -465,7 +464,7 @@ def _own_samples(written_poses: _PosesAlong, samples: _PosesAlong, targets: Indi
     centre = np.clip(np.searchsorted(planned, guess), least, most)
 
     def costs(i: Indices, near: Indices) -> tuple[Array, Array]:
-        """How far targets are from samples, and that with what only decides where the path meets itself."""
+        """Distance of targets from samples, and the same plus a small term that decides where the path meets itself."""
         gap = tip[near] - position[i]
         same = np.minimum(np.abs(np.einsum("...k,...k->...", sample_quat[near], quat[i])), 1.0)
         cost = np.sqrt(np.einsum("...k,...k->...", gap, gap))
@@ -485,7 +484,7 @@ def _own_samples(written_poses: _PosesAlong, samples: _PosesAlong, targets: Indi
             at[block], cost[block], total[block] = near[row, best], own[row, best], with_way[row, best]
         edge = (np.abs(at - centre) >= window) & (at > least) & (at < most)
         wanted = np.flatnonzero((cost > FOUND) & (edge | (cost > ASTRAY)))
-    # joint moves cut wide turns short, and the guess is then far off; what is better lies in a ball as large as the cost
+    # joint moves cut wide turns short, so the guess may be far off; a better sample lies in a ball of the cost's radius
     astray = np.flatnonzero(cost > ASTRAY)
     if len(astray):
         tree, radius = cKDTree(tip, balanced_tree=False, compact_nodes=False), ROUNDED_UP * total[astray]
@@ -498,7 +497,7 @@ def _own_samples(written_poses: _PosesAlong, samples: _PosesAlong, targets: Indi
             order = np.lexsort((near, costs(i, near)[1], i))
             first = order[np.flatnonzero(np.diff(i[order], prepend=-1))]
             at[i[first]] = near[first]
-    # ends are known: on a closed path the nearest sample to one may be the other
+    # the ends are known; on a closed path, the sample nearest to one end may be the other
     at[targets[:-1]], at[targets[1:] - 1] = cuts[:-1], cuts[1:]
     return np.maximum.accumulate(at)
 
@@ -528,10 +527,10 @@ def _frames(plan: Plan, program: RobotProgram) -> tuple[float, float]:
 # ----------------------------------------------------------------------------------------------------
 # The program as it is played: pace, corners, stops and configurations.
 
-# of the time in which material is laid: wide, for it is a model's, which small prints full of corners stretch by 5 per
-# cent; shipped problems stay within half a per cent (`python -m benchmarks.programs`)
+# share of the deposition time: wide, as the time is a model's, in which small prints full of corners take 5 per cent
+# longer; shipped problems stay within half a per cent (`python -m benchmarks.programs`)
 LATE = 0.1
-# m by which corners in travel may be cut, as far as `Agreement` lets paths differ
+# [m] by which corners in travel may be cut, as much as `Agreement` allows paths to differ
 TRAVEL = 1e-3
 
 
@@ -540,12 +539,11 @@ class Readback:
     """Differences of a played program from its plan.
 
     agreement  of the played nozzle, as the cell's joints carry it, with the plan
-    laid       time in which the program lays material over that in which the plan does; worst: of the bead that differs
-               most
+    laid       deposition time of the program over that of the plan; worst: of the bead that differs most
     corner     how far the nozzle passes inside of a target at which material is laid, at most [m]
     swing      how far it passes inside of any other target, at most [m]
-    stops      targets within beads at which the robot comes to rest without waiting
-    strays     targets whose configuration the robot does not have when it comes there
+    stops      number of targets within beads at which the robot comes to rest without waiting
+    strays     targets at which the robot does not arrive in their configuration
     """
 
     agreement: Agreement
@@ -573,7 +571,7 @@ class Readback:
 
 
 def readback(plan: Plan, program: RobotProgram) -> list[str]:
-    """Differences of a program that was read from its plan, in words; none if it does the same."""
+    """Differences between a program that was read and its plan, in words; none if it does the same."""
     try:
         played = play(program, plan.cell)
     except InputError as error:
@@ -582,7 +580,7 @@ def readback(plan: Plan, program: RobotProgram) -> list[str]:
 
 
 def judge(plan: Plan, program: RobotProgram, played: Played) -> Readback:
-    """A program against its plan, as it was played in the plan's cell."""
+    """A program, as played in the plan's cell, compared with the plan."""
     nozzle = replace(program, position=played.position[played.target], quat=played.quat[played.target])
     spans = laid_spans(played)
     first, last = fed_spans(plan.trajectory)
@@ -606,19 +604,19 @@ def judge(plan: Plan, program: RobotProgram, played: Played) -> Readback:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Languages that leave postures and speeds open are played with those of the plan.
+# Programs in languages that leave postures and speeds open are played with those of the plan.
 
-COARSE = 0.05  # of a speed in a bead: the most that steps of a language may change it by
-SAID = 1e-9  # m/s to which a speed that was read is the one that was written
-FAST = 100.0  # m/s, rad/s: a speed that a program leaves open does not slow the robot down; its joints do
+COARSE = 0.05  # share of a speed in a bead by which the steps of a language may change it at most
+SAID = 1e-9  # [m/s] to which a speed that was read equals the one that was written
+FAST = 100.0  # [m/s, rad/s]: stands for a speed that a program leaves open; the joints then limit the robot
 
 
 def played_differences(plan: Plan, moves: Moves, program: RobotProgram, stepped: Array) -> list[str]:
-    """Differences of a program that was read from its plan, in words.
+    """Differences between a program that was read and its plan, in words.
 
     stepped: speed (m) [m/s] of each move in the steps of its language (`stepped_speeds`)
-    Configurations that its targets do not name are those of the planned postures, which is what the controller must
-    come to by itself: it gets the joints where each line begins, and keeps its configuration along lines.
+    Configurations that targets do not name are taken from the planned postures. The controller must arrive at them by
+    itself: it is given the joints where each line begins, and keeps its configuration along lines.
     """
     if len(program.linear) != len(moves.sample) + 1:
         count = f"it has {len(program.linear)} moves, not {len(moves.sample) + 1}"
@@ -631,8 +629,8 @@ def played_differences(plan: Plan, moves: Moves, program: RobotProgram, stepped:
 
 
 def _unstepped(moves: Moves, program: RobotProgram, stepped: Array) -> RobotProgram:
-    """A program with the speeds that were meant, where it says these in the steps of its language and these are fine enough:
-    what a step makes a long move early or late by the next ones make up for, and no finer speed can be said."""
+    """The program with the intended speeds where it has them rounded to steps of its language that are fine enough: the
+    next moves make up for a long move's rounding, and no finer speed can be given."""
     written, meant = program.speed[1:, 0], moves.speed
     near = moves.laid & (np.abs(written - stepped) <= SAID) & (np.abs(stepped - meant) <= COARSE * meant)
     speed = program.speed.copy()
@@ -641,12 +639,12 @@ def _unstepped(moves: Moves, program: RobotProgram, stepped: Array) -> RobotProg
 
 
 def filled(plan: Plan, moves: Moves, program: RobotProgram) -> RobotProgram:
-    """A program of as many moves as the plan's with what its language leaves open: configurations, speeds and zones."""
+    """A program of the plan's moves, completed where its language leaves configurations, speeds and zones open."""
     at = np.concatenate([[0], moves.sample])
     planned = np.column_stack([quadrants(moves.q[:, plan.cell.own]), plan.trajectory.branch[at]])
     return replace(
         program,
         conf=np.where(program.conf == UNSPECIFIED, planned, program.conf),
         speed=np.where(np.isnan(program.speed), FAST, program.speed),
-        zone=np.nan_to_num(program.zone),  # of travel: by how much it is rounded is the controller's to choose
+        zone=np.nan_to_num(program.zone),  # of travel: the controller chooses how much it rounds
     )

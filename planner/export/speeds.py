@@ -1,4 +1,4 @@
-"""Programmed speeds: one for as many moves as keep the plan's clock, none so quick that a controller cannot follow."""
+"""Programmed speeds: one for as many moves as keeps to the plan's clock, none too fast for a controller to follow."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ if TYPE_CHECKING:
     from planner.export.moves import Moves
 
 TIME_TOLERANCE = (
-    8e-3  # [s] by which a target may be passed too early or too late; keeps dips of the speed in the program
+    8e-3  # [s] by which a target may be passed too early or too late; small enough to keep dips in speed in the program
 )
-STEPS = ((0.01, 1e-4), (0.001, 1e-5), (0.0, 1e-6))  # from a speed [m/s] on, speeds are multiples of the second [m/s]
-ON_STEP = 1e-9  # of a speed, by which rounding may leave its step
-BRIEF = 6.0  # of that tolerance: what a shorter bead may be late by would be too large a share of it
-CATCHING_UP = 1.01  # times the plan's greatest speed, with which a program that is late may go on: hardly faster
+STEPS = ((0.01, 1e-4), (0.001, 1e-5), (0.0, 1e-6))  # (from this speed up [m/s], speeds are multiples of this [m/s])
+ON_STEP = 1e-9  # share of a speed by which rounding may leave its step
+BRIEF = 6.0  # × TIME_TOLERANCE: in a shorter bead that tolerance would be too large a share of its time
+CATCHING_UP = 1.01  # × the plan's greatest speed: the fastest that a late program may go on
 
 
 def even_speeds(length: Array, took: Array, group: Indices, usual: Array, least: float) -> Array:
-    """Programmed speeds (m) [m/s] with which moves of given lengths [m] pass their targets when planned, to TIME_TOLERANCE.
+    """Programmed speeds (m) [m/s] with which moves of given lengths [m] pass targets on time, within TIME_TOLERANCE.
 
     took   (m) time of each move [s]
-    group  (m) moves of one number share a clock, which begins with the first; 0: the mean speed of the move itself
-    usual  (m) speed that is taken wherever it keeps the clock, the same in a group [m/s]
-    least  time that each move is given, even if it took less, as far as the clock can be kept [s]; but in beads that take
-           less than BRIEF tolerances, whose moves are as quick as planned
+    group  (m) moves with the same number share a clock, which starts with the first; 0: the move's own mean speed
+    usual  (m) speed used wherever it keeps to the clock, the same throughout a group [m/s]
+    least  time given to each move, even if it took less, as far as the clock allows [s]; except in beads that take less
+           than BRIEF tolerances, whose moves are as fast as planned
     """
     own = group > 0
     brief = np.bincount(group, weights=took)[group] < BRIEF * TIME_TOLERANCE
@@ -40,11 +40,11 @@ def even_speeds(length: Array, took: Array, group: Indices, usual: Array, least:
 
 
 class SpeedRules(NamedTuple):
-    """What programmed speeds keep to.
+    """Limits on programmed speeds.
 
-    least    time of a move [s]
+    least    least time of a move [s]
     most     time by which a target may be passed too early or too late [s]
-    fastest  speed of a move, over the usual one
+    fastest  greatest speed of a move, as a multiple of the usual one
     """
 
     least: float
@@ -54,7 +54,7 @@ class SpeedRules(NamedTuple):
 
 @inner_njit
 def _stepped(slowness: float, floor: float) -> float:
-    """The nearest slowness [s/m] whose speed programs have; where it may not be below `floor`, the next above."""
+    """The nearest slowness [s/m] whose speed is on a step; if that is below `floor`, the next one above."""
     speed = 1.0 / slowness
     step = STEPS[2][1]
     for k in range(len(STEPS)):
@@ -69,7 +69,7 @@ def _stepped(slowness: float, floor: float) -> float:
 
 @njit
 def _even_speeds(length: Array, took: Array, group: Indices, usual: Array, rules: SpeedRules) -> Array:
-    """`even_speeds`: each speed holds for as many moves as it can; what the clock is late by goes on to the next."""
+    """`even_speeds`: each speed holds for as many moves as it can; the remaining delay is passed on to the next."""
     out = np.empty(len(length))
     i, late = 0, 0.0
     while i < len(length):
@@ -81,7 +81,7 @@ def _even_speeds(length: Array, took: Array, group: Indices, usual: Array, rules
             continue
         if i == 0 or group[i - 1] != group[i]:
             late = 0.0
-        # bounds of slowness: of the clock, and of the least time and greatest speed, which give way where both cannot be had
+        # bounds of slowness: from the clock; floor: from least time and greatest speed, which yield to the clock
         low, high, floor, way, time = 0.0, np.inf, 0.0, 0.0, 0.0
         slowness, end, after = 0.0, i, late
         k = i
@@ -109,14 +109,14 @@ def _even_speeds(length: Array, took: Array, group: Indices, usual: Array, rules
 
 
 # ----------------------------------------------------------------------------------------------------
-# In the steps of a language.
+# Speeds in the steps of a language.
 
 
 def stepped_speeds(moves: Moves, step: float) -> Array:
     """Speed (m) [m/s] of each move in whole steps [m/s], at least one.
 
-    Of moves that lay material each is rounded such that the sum of their times stays nearest to what was planned, so that
-    no bead runs late however long it is; of others, to the nearest.
+    Speeds of moves that lay material are rounded so that the sum of their times stays closest to the plan, and no bead
+    runs late however long it is; other speeds are rounded to the nearest step.
     """
     low = np.maximum(np.floor(moves.speed / step + 1e-9), 1.0)
     length, nearest = moves.length, np.maximum(np.round(moves.speed / step), 1.0)

@@ -1,4 +1,4 @@
-"""trajectory.csv and report_part.stl: every sample, and the body under the print, for anyone to read."""
+"""trajectory.csv and report_part.stl: every sample, and the body under the print, in common formats."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
     from planner.toolpath.bead import Shape
 
 # ----------------------------------------------------------------------------------------------------
-# Rows of numbers as text, compiled: what `%` formatting writes, byte for byte, many times faster.
+# Rows of numbers as text, compiled: the same bytes as `%` formatting, many times faster.
 
 Bytes = NDArray[np.uint8]
 
 LONGEST_CELL = 24  # bytes, with sign, point and comma
 SIGNIFICANT = 12
 _EXACT = 2.0**52  # up to here a double holds a rounded fixed-point number digit by digit
-_SMALL, _LARGE = 1e-4, 1e5  # outside, %g may write an exponent, or the product below is not known well enough
-_UNSURE = 2e-4  # around a half; the product is known to 2^-14
-_POWERS = np.array([10.0**k for k in range(16)])  # exact, all of them
+_SMALL, _LARGE = 1e-4, 1e5  # outside, %g may write an exponent, or the product below is not accurate enough
+_UNSURE = 2e-4  # around a half: rounding is uncertain, as the product is known only to 2^-14
+_POWERS = np.array([10.0**k for k in range(16)])  # all exact
 _LEAST = np.array([1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 100.0, 1e3, 1e4, 1e5])
 
 
 def rows_text(fixed: Array, decimals: NDArray[np.int64], free: Array) -> str:
-    """Rows of comma-separated numbers: fixed (m, f) with `decimals` (f) each, then free (m, k) with 12 significant digits.
+    """Rows of comma-separated numbers: fixed (m, f) with `decimals` (f), then free (m, k) with 12 significant digits.
 
-    Fixed columns are rounded half to even, and nought has no sign; the rest is as `%.12g` has it.
+    Fixed columns are rounded half to even, and zero has no sign; free columns are formatted like `%.12g`.
     """
     m = len(free)
     out = np.empty(m * LONGEST_CELL * (fixed.shape[1] + free.shape[1]), dtype=np.uint8)
@@ -43,15 +43,15 @@ def rows_text(fixed: Array, decimals: NDArray[np.int64], free: Array) -> str:
     while row < m:
         row, length = _fill(fixed, decimals, scale, free, row, out)
         parts.append(out[:length].tobytes().decode("ascii"))
-        if row < m:  # a number that is not finite, very large or small, or too near to a half
+        if row < m:  # it has a number that is not finite, very large or small, or too near a half
             parts.append(_plain_row(fixed[row], decimals, scale, free[row]))
             row += 1
     return "".join(parts)
 
 
 def _plain_row(fixed: Array, decimals: NDArray[np.int64], scale: Array, free: Array) -> str:
-    """One row by Python's own formatting."""
-    rounded = np.rint(fixed * scale) / scale + 0.0  # turns minus nought into nought
+    """One row, by Python's own formatting."""
+    rounded = np.rint(fixed * scale) / scale + 0.0  # turns minus zero into zero
     cells = [f"{value:.{d}f}" for value, d in zip(rounded.tolist(), decimals.tolist(), strict=True)]
     return ",".join([*cells, *(f"{value:.{SIGNIFICANT}g}" for value in free.tolist())]) + "\n"
 
@@ -60,8 +60,8 @@ def _plain_row(fixed: Array, decimals: NDArray[np.int64], scale: Array, free: Ar
 def _fill(
     fixed: Array, decimals: NDArray[np.int64], scale: Array, free: Array, row: int, out: Bytes
 ) -> tuple[int, int]:
-    """Write rows from `row` on into out; returns the first row that is not written, and the length of the text."""
-    at: Any = np.int64(0)  # a plain 0 that is handed on is another type, compiled anew
+    """Write rows from `row` on into out; returns the first row not written, and the length of the text."""
+    at: Any = np.int64(0)  # a plain 0 as an argument has another type, for which kernels would be compiled again
     for i in range(row, len(free)):
         start = at
         for j in range(fixed.shape[1]):
@@ -108,7 +108,7 @@ def _fixed(value: int, decimals: int, out: Bytes, at: int) -> int:
 
 @inner_njit
 def _significant(x: float, out: Bytes, at: int) -> int:
-    """Write x with 12 significant digits at a place in out; returns the place after it, or -1 if it is not sure how."""
+    """Write x with 12 significant digits at a place in out; returns the place after it, or -1 if it cannot be sure."""
     if x == 0.0:
         out[at] = 48
         return at + 1
@@ -135,7 +135,7 @@ def _significant(x: float, out: Bytes, at: int) -> int:
     while value % 10 == 0:
         value //= 10
         digits -= 1
-    # digits after the point, and noughts that lead them or end the whole part
+    # digits after the point, with zeros leading them or ending the integer part
     after = digits - 1 - exponent
     while after < 0:
         value *= 10
@@ -155,10 +155,10 @@ def _significant(x: float, out: Bytes, at: int) -> int:
 
 
 # ----------------------------------------------------------------------------------------------------
-# trajectory.csv: every sample, as anyone's spreadsheet or checker reads it.
+# trajectory.csv: every sample, readable by any spreadsheet or checker.
 
 CHUNK = 4096  # rows formatted at once: bounds the memory
-# column → decimals to round to; a joint keeps 12 significant digits, so that third differences mean something
+# column → decimals to round to; joints keep 12 significant digits, so that third differences are meaningful
 FIXED = {
     "t_s": 6,
     "bead": 0,
@@ -178,7 +178,7 @@ FIXED = {
 
 
 def write_table(plan: Plan, stream: TextIO) -> None:
-    """Write one row per sample to a text stream: mm, mm/s, mm^3/s, joints in rad, or m where they slide; e_mm is filament [mm]."""
+    """Write one row per sample to a text stream: mm, mm/s, mm^3/s, joints in rad or (sliding) m; e_mm is filament."""
     t = plan.trajectory
     stream.write(",".join([*FIXED, *plan.cell.joint_names]) + "\n")
     decimals = np.array(list(FIXED.values()), dtype=np.int64)
@@ -190,12 +190,12 @@ def write_table(plan: Plan, stream: TextIO) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------
-# report_part.stl: the body under the print as triangles, for pictures and for whoever looks at the trajectory elsewhere.
+# report_part.stl: the body under the print as triangles, for pictures and for viewing the trajectory elsewhere.
 
 
 def part_stl(shape: Shape) -> bytes:
     """A binary STL file of a shape: millimetres, part frame."""
-    import trimesh  # a third of a second, and most problems have no part of their own
+    import trimesh  # takes a third of a second, and most problems have no part of their own
 
     mesh = trimesh.Trimesh(np.round(shape.vertices * 1e3, 4), shape.triangles, process=False)
     return cast(bytes, mesh.export(file_type="stl"))

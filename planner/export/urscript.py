@@ -45,15 +45,15 @@ if TYPE_CHECKING:
 # The controller's base frame, and rotation vectors.
 
 
-MEASURED = 0.02  # rad by which axes of an arm that was measured are off, at most
+MEASURED = 0.02  # [rad] by which axes of a calibrated arm may be off
 
 
 def world_controller(cell: Cell) -> Array:
-    """T_world_controller (4, 4): z along joint 1, y against joint 2's axis at zero, as the maker's DH table has it.
+    """T_world_controller (4, 4): z along joint 1, y against joint 2's axis at zero, as in the maker's DH table.
 
-    URDF files differ: ROS's base_link is turned by half a turn against the controller's base. The origin is that of the link in
-    which joint 1 turns, whatever this stands on in the URDF. The axes of a measured arm are a little off: a frame that is nearly
-    that link's own, turned by quarters of a turn, is just that.
+    URDF files differ: ROS's base_link is turned by half a turn from the controller's base. The origin is that of the
+    link in which joint 1 turns, whatever that link stands on in the URDF. As the axes of a calibrated arm are slightly
+    off, a frame close to that link's own, turned by quarter turns, is taken to be exactly that.
     """
     stand = cell.T_world_base @ cell.arm_robot.T_base_stand
     first, second = cell.arm.placements[0], cell.arm.placements[0] @ cell.arm.placements[1]
@@ -73,7 +73,7 @@ def rotation_vectors(quat: Array) -> Array:
     """Axis times angle (m, 3) [rad], at most half a turn, of unit quaternions (m, 4) x y z w."""
     quat = np.where(quat[:, 3:] < 0.0, -quat, quat)
     sine = np.linalg.norm(quat[:, :3], axis=1, keepdims=True)
-    # for small angles angle / sine tends to 2
+    # angle / sine tends to 2 for small angles
     scale = np.where(sine > 1e-12, 2.0 * np.arctan2(sine, quat[:, 3:]) / np.maximum(sine, 1e-12), 2.0)
     out: Array = scale * quat[:, :3]
     return out
@@ -89,27 +89,27 @@ def quaternions(vectors: Array) -> Array:
 # ----------------------------------------------------------------------------------------------------
 # Writer: one program with a function for each bead, or several for a long print, to be run one after the other.
 #
-# Material is laid by movep, which keeps the tip's speed through circular blends, where movel was seen to speed up, and by
-# movec along arcs, which turns the tool evenly between their ends (mode 0). The maker describes no blend of movep with other
-# moves, so run-in and run-out are movep too, and where it meets the movej of travel the arm stops. Poses are those of the
-# nozzle in the part frame, `part`, which stands in the controller's base frame: a part that was moved needs that one line
-# changed.
+# Material is laid by movep, which keeps the tip's speed through circular blends (movel was seen to speed up there), and
+# by movec along arcs, which turns the tool evenly between their ends (mode 0). The maker describes no blend of movep
+# with other moves, so run-in and run-out are movep too, and the arm stops where movep meets the movej of travel. Poses
+# are those of the nozzle in the part frame `part`, given in the controller's base frame: if the part has moved, only
+# that line needs changing.
 
 MARK = "#"  # begins a comment
 SLEEP = "sleep({:.3f})"
 LENGTH, ANGLE = 6, 6  # decimals of metres and radians
 SPEED = 5  # decimals of m/s and rad/s
-# A program goes on when a blend begins, so an output is switched that much before its place. Small enough to be no
-# error, and on a straight run-in, where it needs no room, large enough to be a blend.
-SWITCH_BLEND = 0.04e-3  # m
-MOST_MOVES = 1000  # of a program, where it can be cut between beads: users report that 1,000 to 2,500 do not load
-STEADY_BLEND = 1e-3  # m: below, movep was seen not to keep its speed
+# Radius of a blend at which an output is switched: a program continues when a blend begins, so that much too early.
+# Small enough not to matter, and on a straight run-in, where a blend needs no room, large enough to be one.
+SWITCH_BLEND = 0.04e-3  # [m]
+MOST_MOVES = 1000  # of a program, if it can be cut between beads: users report that 1,000 to 2,500 do not load
+STEADY_BLEND = 1e-3  # [m] of radius; below, movep was seen not to keep its speed
 
 
 @dataclass(frozen=True)
 class MoveAccelerations:
     """Acceleration of the tip [m/s^2] and of the leading joint [rad/s^2], the plan's greatest, rounded up; and the
-    leading joint's speed (m) [rad/s] of each move, the greatest until the next stop.
+    leading joint's speed (m) [rad/s] in each move, the greatest between the stops around it.
     """
 
     tip: float
@@ -118,7 +118,7 @@ class MoveAccelerations:
 
 
 def script_names(plan: Plan, count: int) -> list[str]:
-    """Names of the programs, of whose files they are the stems, in the order in which they are run."""
+    """Names of the programs, which are the stems of their files, in the order in which they are run."""
     name = module_name(plan.name)
     return [name] if count == 1 else [numbered(name, k, LONGEST_NAME) for k in range(1, count + 1)]
 
@@ -132,7 +132,7 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def _programs(plan: Plan, moves: Moves) -> list[list[MoveSection]]:
-    """Sections of each program: cut only where the arm stops, and neither within a bead."""
+    """Sections of each program: cut only where the arm stops, and never within a bead."""
     rests = radii_of(plan, moves) == 0.0
     runs: list[list[MoveSection]] = []
     for section in sections(plan, moves):
@@ -146,7 +146,7 @@ def _programs(plan: Plan, moves: Moves) -> list[list[MoveSection]]:
 
 
 def _program(plan: Plan, moves: Moves, k: int, names: list[str], own: list[MoveSection]) -> str:
-    """The k-th of the programs, with its sections."""
+    """Text of the k-th program, with its sections."""
     T_controller_part = np.linalg.inv(world_controller(plan.cell)) @ plan.cell.T_world_holder
     functions, calls = _functions(plan, moves, own)
     off = [f"  set_standard_digital_out({number}, False)" for number in output_numbers(plan.problem).values()]
@@ -170,7 +170,7 @@ def _program(plan: Plan, moves: Moves, k: int, names: list[str], own: list[MoveS
 
 
 def pace_of(plan: Plan, moves: Moves) -> MoveAccelerations:
-    """Accelerations, and speeds of joint moves: as fast as the plan ever goes, since it gives no speed of single moves."""
+    """Accelerations, and speeds of joint moves: the plan's greatest, as it gives no speed for single moves."""
     t = plan.trajectory
     rate = np.abs(np.diff(t.q[:, :6], axis=0)).max(axis=1) / t.dt
     turning = float(np.abs(np.diff(t.q[:, :6], 2, axis=0)).max(initial=0.0)) / t.dt**2
@@ -228,7 +228,7 @@ def _joint_text(q: Array) -> str:
 
 
 def _functions(plan: Plan, moves: Moves, own: list[MoveSection]) -> tuple[list[str], list[str]]:
-    """Functions of sections, and their names in the order of calling."""
+    """Functions of sections, and their names in calling order."""
     bead = plan.trajectory.bead
     outputs = by_bead(plan, list(output_numbers(plan.problem).values()))
     texts = _moves(plan, moves, pace_of(plan, moves))
@@ -279,7 +279,7 @@ def _moves(plan: Plan, moves: Moves, pace: MoveAccelerations) -> list[str]:
 
 Forward = Callable[[Array], Array]
 
-JOINT = 1e-5  # m, rad: between the end of a program and the start of the next one; rounding gives a fifth of it
+JOINT = 1e-5  # [m, rad] between the end of a program and the start of the next; rounding gives a fifth of it
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,63}"
 SIX = rf"({NUMBER}(?:, {NUMBER}){{5}})"
 HOW = rf"a=({NUMBER}), v=({NUMBER}), r=({NUMBER})"
@@ -305,10 +305,10 @@ GRAMMAR = Grammar.of(
 class Script:
     """A program (m moves) that was read.
 
-    program     its work object is the part in the controller's base frame; triggers name outputs by their numbers
+    program     its work object is the part in the controller's base frame; triggers name outputs by number
     joints      (m, 6) targets of joint moves [rad]; NaN for others
     pace        (m, 2) acceleration [m/s^2 or rad/s^2] and speed [m/s or rad/s] of each move
-    off         outputs that are switched off before the first move, and behind the last one, of each script
+    off         outputs switched off before the first move and after the last one, of each script
     """
 
     program: RobotProgram
@@ -318,9 +318,9 @@ class Script:
 
 
 def read_urscript(text: str, forward: Forward) -> Script:
-    """Program of URScript text as `urscript.write` writes it; forward: joints (k, 6) → T_part_nozzle (k, 4, 4).
+    """Program from URScript text as `urscript.write` writes it; forward: joints (k, 6) → T_part_nozzle (k, 4, 4).
 
-    Raises InputError with the line for a statement or name that is not known, or that stands where it must not.
+    Raises InputError, with the line, for an unknown or misplaced statement or name.
     """
     title, bodies, frames = _function_bodies(text)
     moves: list[Statement] = []
@@ -340,7 +340,7 @@ def read_urscript(text: str, forward: Forward) -> Script:
         else:
             waits[at] = waits.get(at, 0.0) + float(first)
     if len(moves) < 2 or moves[0].word != "movej":
-        raise InputError("it does not begin with a movej, and go on", file=GRAMMAR.file)
+        raise InputError("it does not begin with a movej and a further move", file=GRAMMAR.file)
     m = len(moves)
     rows = np.array([_six(move.parts[-4]) for move in moves])
     arcs = np.array([_six(move.parts[0])[:3] if move.word == "movec" else [np.nan] * 3 for move in moves])
@@ -377,7 +377,7 @@ def read_urscript(text: str, forward: Forward) -> Script:
 
 
 def joined(first: Script, then: Script) -> Script:
-    """Two programs that run one after the other. Raises InputError where the second begins elsewhere than the first ends."""
+    """Two programs, run one after the other, as one. InputError if the second does not begin where the first ends."""
     a, b = first.program, then.program
     off = np.linalg.norm(a.position[-1] - b.position[0])
     turned = angle(a.quat[-1:], b.quat[:1])[0]
@@ -403,8 +403,8 @@ def _six(text: str) -> list[float]:
 
 
 def _function_bodies(text: str) -> tuple[str, dict[str, list[Statement]], dict[str, Array]]:
-    """Name of the program; statements of it and of each of its functions; its frames `tool` and `part`."""
-    open_: list[str] = []  # functions that have begun and not ended, the program first
+    """Name of the program; its statements and those of each of its functions; its frames `tool` and `part`."""
+    open_: list[str] = []  # functions that have begun but not ended, the program first
     bodies: dict[str, list[Statement]] = {}
     frames: dict[str, Array] = {}
     for statement in GRAMMAR.statements(text.split("\n")):
@@ -414,14 +414,14 @@ def _function_bodies(text: str) -> tuple[str, dict[str, list[Statement]], dict[s
         if word == "define":
             name = statement.parts[0]
             if len(open_) > 1 or name in bodies:
-                raise statement.error(f"function {name} stands there twice, or in another one")
+                raise statement.error(f"function {name} is defined twice, or inside another function")
             open_.append(name)
             bodies[name] = []
         elif word == "end":
             open_.pop()
         elif word in ("tool", "part"):
             if word in frames or len(open_) > 1:
-                raise statement.error(f"the {word} stands there twice, or in a function")
+                raise statement.error(f"the {word} is set twice, or in a function")
             frames[word] = np.array(_six(statement.parts[0]))
         else:
             bodies[open_[-1]].append(statement)
@@ -435,7 +435,7 @@ def _frame(pose: Array) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan.
+# Check of a program that was read against the plan.
 
 
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
@@ -444,7 +444,7 @@ def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of the program from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    """Differences of the program from the plan beyond rounding and thinning. InputError for an unknown line."""
     script, written = _read(plan, files)
     moves = moves_with_arcs(plan)
     return [
@@ -457,7 +457,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 
 def _read(plan: Plan, files: Mapping[str, str]) -> tuple[Script, RobotProgram]:
-    """The script, and what it does in the cell's own frames."""
+    """The script as read, and its program in the cell's own frames."""
     scripts = [
         read_urscript(files[f"{name}.script"], plan.cell.T_part_nozzle) for name in script_names(plan, len(files))
     ]
@@ -471,14 +471,14 @@ def _read(plan: Plan, files: Mapping[str, str]) -> tuple[Script, RobotProgram]:
 
 
 def _early(program: RobotProgram) -> list[str]:
-    """Outputs that are switched too far before their place, since the blend there is too large."""
+    """Whether outputs are switched too far before their place, as the blend there is too large."""
     at = [move for move, group in program.triggers.items() if not all(each.from_start for each in group)]
     early = float(program.zone[at].max(initial=0.0))
     return [f"an output is switched {early:.3g} m early"] if early > SWITCH_BLEND + STEP else []
 
 
 def _joint_moves(plan: Plan, moves: Moves, script: Script) -> list[str]:
-    """Joint targets that no sample of the plan has; moves that are quicker, or reach their speed later, than planned."""
+    """Joint targets that match no sample of the plan; moves whose speed, acceleration or stops differ from the plan."""
     found = []
     joint = ~script.program.linear
     off = cKDTree(plan.trajectory.q[:, :6]).query(script.joints[joint])[0].max()

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# Stäubli's axes and frames (ROS-Industrial, staubli: URDF files): they count as ours do, but the arm stands straight up at
-# zero. The world's origin is level with axis 2. Rotations are turns about x, the new y and the new z.
+# Stäubli's axes and frames (ROS-Industrial, staubli: URDF files): the axes have the same sense as ours, but the arm is
+# straight up at zero. The world's origin is level with axis 2. Rotations are turns about x, the new y and the new z.
 
 STAUBLI = Convention(
     axes=signed(1.0, 1.0, 1.0, 1.0, 1.0, 1.0), offset=np.array([0.0, 0.0, 0.5 * np.pi, 0.0, 0.0, 0.0]), shoulder=True
@@ -49,26 +49,27 @@ STAUBLI = Convention(
 # ----------------------------------------------------------------------------------------------------
 # Writer: an application, which is a folder with a project, data, and programs.
 #
-# Programs queue moves and run ahead of the arm, so a task of its own switches outputs: it waits until the controller's
-# number of the present move has passed that of the move to the place, which that move gave when it was queued. Lines keep
-# the posture of the joint move before them (ssame, esame, wsame). mdesc have speed and blend of a move; equal ones are one.
+# Programs queue moves and run ahead of the arm, so a separate task switches the outputs: it waits until the
+# controller's current move number exceeds that of the move to the switching point, which was stored when that move was
+# queued. Lines keep the posture of the joint move before them (ssame, esame, wsame). An mdesc holds the speed and blend
+# of a move; moves with equal ones share it.
 
-LONGEST_NAME = 15  # of VAL3 before s7; later ones take more
+LONGEST_NAME = 15  # in VAL3 before s7; later versions accept more
 MOST_ELEMENTS = 9999  # of an array
 MOST_MOVES = 2000  # of a program and its arrays
-MOST_SWITCHES = 9000  # of a table, of which there are as many as it takes
+MOST_SWITCHES = 9000  # of a table; there are as many tables as needed
 MARK = "//"
 WAIT = "waitEndMove()\ndelay({:.3f})"
 MM, DEGREES = 3, 4  # decimals
 SPEED = 2  # decimals of mm/s
-# Radii of blends [mm]: a dozen in each decade, so that few descriptors are needed
+# radii of blends [mm]: a dozen per decade, so that few descriptors are needed
 LEVELS = np.round(
     np.outer(10.0 ** np.arange(-3, 3), (1, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3, 3.9, 4.7, 5.6, 6.8, 8.2)).ravel(), 3
 )
-UNBOUND = 99999  # mm/s or deg/s: another limit holds
-OUTPUT = "BasicIO-1\\%Q{}"  # where an output is linked to
+UNBOUND = 99999  # mm/s or deg/s: no limit, as another one applies
+OUTPUT = "BasicIO-1\\%Q{}"  # what an output is linked to
 XML = '<?xml version="1.0" encoding="utf-8"?>'
-ABOUT = "<!-- beadwise: {} -->"  # which file of ours it is
+ABOUT = "<!-- beadwise: {} -->"  # names the kind of file
 SPACE = "http://www.staubli.com/robotics/VAL3"
 XSI = 'xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
 TASK = ("start", "stop", "extruder")  # programs of every application; others are part1, part2 …
@@ -77,7 +78,7 @@ BEGIN_TASK, END_TASK = '  taskCreate "extruder",10,extruder()', '  taskKill("ext
 
 @dataclass(frozen=True)
 class MoveDescriptors:
-    """Movement descriptors: those of moves (m) by their numbers, and each as its attributes in the data file."""
+    """Movement descriptors: the number of each move's (m), and the attributes of each in the data file."""
 
     of_move: list[int]
     values: list[str]
@@ -117,12 +118,12 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def planned_speeds(moves: Moves) -> Array:
-    """Speed (m) [m/s] that each line is written with."""
+    """Speed (m) [m/s] written for each line."""
     return stepped_speeds(moves, 1e-3 * 10.0**-SPEED)
 
 
 def planned_zones(plan: Plan, moves: Moves) -> Array:
-    """Radius (m) [m] of the blend at the end of each move, the next smaller of LEVELS; 0 where it stops."""
+    """Blend radius (m) [m] at the end of each move, the next smaller of LEVELS; 0 where it stops."""
     radii = move_radii(plan, moves)
     below = np.maximum(np.searchsorted(LEVELS, radii * 1e3 * (1.0 + 1e-9), side="right") - 1, 0)
     out: Array = np.where(radii > 0.0, LEVELS[below] * 1e-3, 0.0)
@@ -130,13 +131,13 @@ def planned_zones(plan: Plan, moves: Moves) -> Array:
 
 
 def _fixed(plan: Plan, tables: int) -> dict[str, list[str]]:
-    """Programs that are the same for every print with as many outputs, and tables of switches."""
+    """Programs that are the same for every print with as many outputs and switching tables."""
     off = [f"  dOut[{k}]=false" for k in range(len(output_numbers(plan.problem)))]
     return {"stop": [END_TASK, *off], "extruder": _switching(tables)}
 
 
 def _switching(tables: int) -> list[str]:
-    """Statements that make all switches, one table after the other."""
+    """Statements that carry out all switching, one table after the other."""
     lines: list[str] = []
     for k in range(1, tables + 1):
         lines += [
@@ -150,7 +151,7 @@ def _switching(tables: int) -> list[str]:
 
 
 def _forgotten(tables: int) -> list[str]:
-    """Statements that forget when an earlier run has switched."""
+    """Statements that clear the move numbers stored by an earlier run."""
     lines: list[str] = []
     for k in range(1, tables + 1):
         lines += [f"  for nSwitch=0 to size(nAt{k})-1", f"    nAt{k}[nSwitch]=-1", "  endFor"]
@@ -174,7 +175,7 @@ def _header(plan: Plan) -> list[str]:
 
 def _program(name: str, lines: Sequence[str]) -> str:
     code = [XML, ABOUT.format(f"program {name}"), f'<Programs {XSI} xmlns="{SPACE}/Program/2">']
-    inner = [line.replace("]]>", "]] >") for line in lines]  # a note in a comment must not end the section
+    inner = [line.replace("]]>", "]] >") for line in lines]  # text in a comment must not end the section
     code += [f'  <Program name="{name}">', "    <Code><![CDATA[begin", *inner, "end]]></Code>", "  </Program>"]
     return "\n".join([*code, "</Programs>", ""])
 
@@ -207,7 +208,7 @@ def _joints(axes: Array) -> list[str]:
 
 
 def _points(position: Array, quat: Array) -> list[str]:
-    """Poses as lines and arcs have them."""
+    """Poses in the form that lines and arcs use."""
     r = written(turning_xyz(to_matrix(quat)), DEGREES)
     rows = np.column_stack([np.round(position * 1e3, MM) + 0.0, r])
     form = " ".join(f'{n}="%.{MM}f"' for n in "xyz") + " " + " ".join(f'r{n}="%.{DEGREES}f"' for n in "xyz")
@@ -273,13 +274,13 @@ def _pace(vel: int, tmax: float, blend: str, radius: float) -> str:
 
 
 class _Switches:
-    """What is switched when: (output among ours, value) in order, and which of them follow each move."""
+    """What is switched when: (index of our output, value) in order, and the rows that follow each move."""
 
     def __init__(self, plan: Plan, moves: Moves) -> None:
         bead = plan.trajectory.bead
         of_bead = by_bead(plan, list(range(len(output_numbers(plan.problem)))))
         self.table: list[tuple[int, bool]] = []
-        self.after: dict[int, list[int]] = {}  # move, or -1 for that to the start → rows of the table
+        self.after: dict[int, list[int]] = {}  # move, or -1 for the move to the start → rows of the table
         for i in range(len(moves)):
             begins, ends = (of_bead[bead[at]] for at in (moves.sample[i - 1] if i else 0, moves.sample[i]))
             for flag, at, row in (
@@ -293,7 +294,7 @@ class _Switches:
 
     @property
     def tables(self) -> list[list[tuple[int, bool]]]:
-        """The table in pieces that arrays hold, one at least."""
+        """The table in pieces that fit into arrays; at least one."""
         return [self.table[k : k + MOST_SWITCHES] for k in range(0, max(1, len(self.table)), MOST_SWITCHES)]
 
 
@@ -317,7 +318,7 @@ def _part(moves: Moves, k: int, own: list[MoveSection], descriptors: MoveDescrip
 
 
 def _move(rows: Sequence[int], move: str) -> list[str]:
-    """Statements of a move, whose number switches (rows of their table) wait for."""
+    """Statements of a move, whose number is stored for the switching (rows of the table) that waits for it."""
     cells = [f"nAt{1 + row // MOST_SWITCHES}[{row % MOST_SWITCHES}]" for row in rows]
     gives = f"{cells[0]}=" if cells else ""
     return [f"  {gives}{move}", *(f"  {cell}={cells[0]}" for cell in cells[1:])]
@@ -369,21 +370,21 @@ _pose = partial(read_pose, of_angles=from_turning_xyz)
 
 
 def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
-    """Program of the texts of an application's files, by their names.
+    """Program from the texts of an application's files, by name.
 
-    Raises InputError with the line for what is not known, stands where it must not, or is no whole application.
+    Raises InputError, with the line, for anything unknown or misplaced, and for an incomplete application.
     """
     programs = [file.removesuffix(".pgx") for file in files if file.endswith(".pgx")]
     if files.get(f"{name}.pjx") != _project(name, programs) or not set(TASK) <= set(programs):
-        raise InputError(f"no whole application {name} with its project and programs", file=CODE.file)
+        raise InputError(f"no complete application {name} with its project and programs", file=CODE.file)
     arrays = _arrays(files[f"{name}.dtx"])
     tables = _table_count(arrays)
     for fixed, lines in _fixed(plan, tables).items():
         if files[f"{fixed}.pgx"] != _program(fixed, lines):
-            raise InputError(f"{fixed}.pgx is not the program that belongs to it", file=CODE.file)
+            raise InputError(f"{fixed}.pgx is not the program of this application", file=CODE.file)
     bodies = {each: list(_code(files[f"{each}.pgx"], each, tables)) for each in programs if each not in TASK[1:]}
     outputs = [value for (value,) in arrays["dOut"]]
-    given: dict[tuple[int, int], int] = {}  # table of switches, and row in it → move after which it is
+    given: dict[tuple[int, int], int] = {}  # (switching table, row) → the move that it follows
     steps, tasks, before = ProgramSteps(), [], ""
     for statement in inlined(bodies, "start", "program"):
         word, parts = statement.word, statement.parts
@@ -407,7 +408,7 @@ def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
             "the task that switches outputs does not run from before the first move to the end", file=CODE.file
         )
     if list(given) != [(k, row) for k in range(1, tables + 1) for row in range(len(arrays[f"nAt{k}"]))]:
-        raise InputError("moves give other switches than the tables have, or in another order", file=CODE.file)
+        raise InputError("moves refer to other switches than the tables have, or in another order", file=CODE.file)
     for (k, row), at in given.items():
         (output,), (value,) = arrays[f"nOut{k}"][row], arrays[f"bOn{k}"][row]
         if not int(output) < len(outputs):
@@ -428,9 +429,9 @@ def _step(statement: Statement, arrays: Arrays) -> ProgramStep:
     vel, tmax, blend, radius = arrays["mPace"][_at(statement, pace, arrays["mPace"])]
     fine = blend == "off"
     if not fine and (blend == "Cartesian") != linear:
-        raise statement.error(f"{blend} is no blend of this move")
+        raise statement.error(f"{blend} is not a blend for this move")
     if (vel != "100") if linear else (float(tmax) != UNBOUND):
-        raise statement.error("a line is held back by its tip's speed alone, a joint move by that of its joints")
+        raise statement.error("only the tip's speed may limit a line, and only the joints' speed a joint move")
     numbers = np.array([float(value) for value in target])
     if not linear:
         return ProgramStep(False, fine, np.radians(numbers), float(vel), 1e-3 * float(radius))
@@ -444,7 +445,7 @@ def _at(statement: Statement, key: str, values: Sequence[object]) -> int:
 
 
 def _code(text: str, name: str, tables: int) -> Iterator[Statement]:
-    """Statements of a program's file, without the loops that forget an earlier run."""
+    """Statements of a program's file, without the loops that clear what an earlier run has stored."""
     lines = text.split("\n")
     head, tail = _program(name, []).split("begin\n")
     if not (text.startswith(f"{head}begin\n") and text.endswith(f"\n{tail}")):
@@ -455,18 +456,18 @@ def _code(text: str, name: str, tables: int) -> Iterator[Statement]:
         loops = _forgotten(tables)
         begin = next((k for k in range(len(inner)) if inner[k : k + len(loops)] == loops), None)
         if begin is None:
-            raise InputError("switches of an earlier run are not forgotten", file=f"{name}.pgx")
+            raise InputError("switches of an earlier run are not cleared", file=f"{name}.pgx")
         inner[begin : begin + len(loops)] = [f"  {MARK}"] * len(loops)
     return CODE.statements(inner, first + 1, f"{name}.pgx")
 
 
 def _table_count(arrays: Arrays) -> int:
-    """How many tables of switches there are, one at least."""
+    """Number of switching tables, at least one."""
     return max(1, sum(re.fullmatch(r"nAt[0-9]{1,2}", name) is not None for name in arrays))
 
 
 def _arrays(text: str) -> Arrays:
-    """The data, by their names."""
+    """The data arrays, by name."""
     head, tail = (
         f'{XML}\n{ABOUT.format("data")}\n<Database {XSI} xmlns="{SPACE}/Data/2">\n  <Datas>\n',
         "  </Datas>\n</Database>\n",
@@ -482,14 +483,14 @@ def _arrays(text: str) -> Arrays:
                 raise statement.misplaced("within another one, or twice")
             name, kind, size = parts[0], parts[1], int(parts[2])
             if size > MOST_ELEMENTS:
-                raise statement.error(f"{name} has more than {MOST_ELEMENTS} elements, which is the most of an array")
+                raise statement.error(f"{name} has more than {MOST_ELEMENTS} elements, the most that an array may have")
             found[name] = []
         elif word == "end":
             if not name or len(found[name]) != size:
-                raise statement.error(f"{name} has not the size that it says")
+                raise statement.error(f"{name} does not have the size that it states")
             name = ""
         elif word != kind or not name or int(parts[0]) != len(found[name]):
-            raise statement.misplaced("in an array of another kind, or out of its order")
+            raise statement.misplaced("in an array of another kind, or out of order")
         else:
             found[name].append(parts[1:])
     tables = [[f"{column}{k}" for column in ("nAt", "nOut", "bOn")] for k in range(1, _table_count(found) + 1)]
@@ -502,17 +503,17 @@ def _arrays(text: str) -> Arrays:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan.
+# Check of a program that was read against the plan.
 
 
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
-    """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
+    """The program in the files, with whatever they leave open taken from the plan. InputError for an unknown line."""
     read = read_val3(files, val3_name(plan.name), plan)
     return arm_program(plan, moves_with_arcs(plan), read, STAUBLI, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    """Differences of the files from the plan beyond rounding and thinning, in words. InputError for an unknown line."""
     read = read_val3(files, val3_name(plan.name), plan)
     moves = moves_with_arcs(plan)
     rounding, speeds = np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves)

@@ -1,4 +1,4 @@
-"""Writes the results of a plan: tables of any, robot code of verified ones only."""
+"""Writes the results of a plan: tables of any plan, robot code only of verified ones."""
 
 from __future__ import annotations
 
@@ -26,47 +26,47 @@ LONGEST_HEADER = 20_000  # characters
 
 
 def write_trajectory(plan: Plan, folder: Path) -> Path:
-    """Write trajectory.csv of any plan; returns its path. OutputError where that is impossible."""
+    """Write trajectory.csv of any plan; returns its path. OutputError if that is impossible."""
     return _write(folder / "trajectory.csv", lambda stream: write_table(plan, stream))
 
 
 def write_plan(plan: Plan, folder: Path) -> Path:
-    """Write plan.json of any plan, last of all: it lists the files that are there. Returns its path.
+    """Write plan.json of any plan, after all other files, which it lists. Returns its path.
 
-    OutputError where that is impossible.
+    OutputError if that is impossible.
     """
     return _write_text(folder / PLAN, plan_json(plan, _digests(folder)))
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file beside plan.json, by name; but of the report, which tells how long all took."""
+    """SHA-256 of each file next to plan.json, by name; except the report, which contains run times."""
     beside = sorted(path for path in folder.iterdir() if path.is_file() and path.name not in (PLAN, REPORT))
     return {path.name: digest(path) for path in beside}
 
 
 def write_part(plan: Plan, folder: Path) -> None:
-    """Write report_part.stl where the part has a shape of its own. OutputError where that is impossible."""
+    """Write report_part.stl if the part has a shape of its own. OutputError if that is impossible."""
     shape = plan.toolpath.shape
     if shape is not None:
         _write(folder / "report_part.stl", lambda stream: stream.write(part_stl(shape)), binary=True)
 
 
 def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Path) -> Path:
-    """Write the plan.json of a problem that has no plan: not verified, and where and why."""
+    """Write the plan.json of a problem without a plan: not verified, with where and why it was refused."""
     return _write_text(folder / PLAN, refusal_json(problem, strategy, refusal))
 
 
 class ProgramDiffers(PlannerError):
-    """A program that was read back differs from its plan: in which language, and how."""
+    """A program that was read back differs from its plan; says in which language, and how."""
 
 
 def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
-    """Write a verified plan in the languages that were chosen for it; returns the paths of the programs.
+    """Write a verified plan in the languages chosen for it; returns the paths of the programs.
 
-    What controllers will make of them is written beside them, as forecast.json.
-    All programs are read back and held against the plan before anything is written. ProgramDiffers if one of them differs
-    from the plan, ValueError if the plan is not verified (both mistakes of this code or its caller),
-    InputError for a language that was asked for and does not support the cell, OutputError where the files cannot be written.
+    How controllers will run them is written alongside, as forecast.json.
+    All programs are read back and compared with the plan before anything is written. Raises ProgramDiffers if one of
+    them differs from the plan, ValueError if the plan is not verified (both are bugs here or in the caller), InputError
+    for a requested language that does not support the cell, OutputError if the files cannot be written.
     """
     texts: dict[str, str] = {}
     foretold: dict[str, Forecast] = {}
@@ -89,7 +89,7 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
 
 
 def forecast_words(folder: Path) -> tuple[str, ...]:
-    """What the controllers will make of the programs of a folder, in words; none without a program."""
+    """How controllers will run the programs of a folder, in words; empty without a program."""
     path = folder / FORECAST
     if not path.exists():
         return ()
@@ -98,7 +98,7 @@ def forecast_words(folder: Path) -> tuple[str, ...]:
 
 
 def program_notes(plan: Plan, folder: Path) -> tuple[str, ...]:
-    """Notes for users in the header of the RAPID program of a folder; none without a program."""
+    """Notes for users from the header of a folder's RAPID program; empty without a program."""
     path = folder / f"{module_name(plan.name)}.mod"
     if not path.exists():
         return ()
@@ -111,7 +111,7 @@ def _write_text(path: Path, text: str) -> Path:
 
 
 def _write(path: Path, fill: Callable[[Any], object], binary: bool = False) -> Path:
-    """Fill a file beside its place and move it there whole: an interruption leaves no half of one."""
+    """Fill a file next to its destination, then move it there: an interruption leaves no half-written file."""
     part = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,1 +1,1 @@
-"""What robots and prints teach: limits identified from recordings, programs and layers corrected by what was executed and printed."""
+"""Feedback from robots and prints: limits identified from recordings, programs and layers corrected by measurement."""

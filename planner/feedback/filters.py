@@ -1,4 +1,4 @@
-"""Noise of recorded samples, told without knowing the motion, and smoothing that keeps what is bent."""
+"""Noise of recorded samples, estimated without knowing the motion, and smoothing that preserves curvature."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from planner.base.arrays import MAD_TO_SIGMA, Array, Flags
 
 
 def noise_of(samples: Array, among: Flags | None = None) -> Array:
-    """Standard deviation (c) of single samples (s, c), evenly spaced: of their third differences, which hold noise and hardly
-    any motion, by the median, which few wrong samples do not change. 0 of fewer than four in a row; among (s): those that
-    count, all where nothing is said."""
+    """Standard deviation (c) of single, evenly spaced samples (s, c).
+
+    Estimated from third differences, which contain noise and hardly any motion; their median is robust against a few
+    wrong samples. 0 for fewer than four in a row. among (s): the samples that count, all by default.
+    """
     third = np.diff(samples, 3, axis=0)
     if among is not None and len(third):
         third = third[np.lib.stride_tricks.sliding_window_view(among, 4).all(axis=1)]
@@ -21,7 +23,7 @@ def noise_of(samples: Array, among: Flags | None = None) -> Array:
 
 
 def window_of(span: float, step: float) -> int:
-    """An odd number of samples, a step [s] apart, near a span [s]: enough for a parabola."""
+    """The odd number of samples, a step [s] apart, closest to a span [s], and at least enough for a parabola."""
     return max(2 * int(0.5 * span / step) + 1, 5)
 
 
@@ -31,11 +33,14 @@ def smoothed(values: Array, window: int) -> Array:
 
 
 def slope_of(values: Array, window: int, step: float) -> Array:
-    """Derivative of values (s) that are a step [s] apart, of parabolas over a window of samples."""
+    """Derivative of values (s) a step [s] apart, from parabolas over a window of samples."""
     return np.asarray(savgol_filter(values, window, 2, deriv=1, delta=step))
 
 
 def noise_left(window: int, slope: float = 0.0) -> float:
-    """What smoothing leaves of the standard deviation of noise; slope: of the derivative, by samples that are so far apart [s]."""
+    """Standard deviation of noise after smoothing, relative to that before it.
+
+    slope: sample interval [s], for the noise of the derivative instead
+    """
     weights = savgol_coeffs(window, 2, deriv=1, delta=slope) if slope else savgol_coeffs(window, 2)
     return float(np.sqrt((weights**2).sum()))

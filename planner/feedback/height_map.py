@@ -1,8 +1,8 @@
-"""The height map of a print: how far the top of a layer is from where it was planned, place by place, from a cloud of points.
+"""The height map of a print: local deviation of a layer's top from the plan, measured by a point cloud.
 
-The planned top of a layer is what the nozzle's tip went along. Its beads are cut into cells about as long as wide; of a
-cell's points, which lie in the middle of the bead's width, the mean of those near the median counts. Cells that disagree
-with those around them are left out, and what has too few points is interpolated.
+The planned top of a layer is the path of the nozzle's tip. Its beads are cut into cells about as long as they are wide.
+A cell's height is the mean of its points that lie in the middle of the bead's width and near their median. Cells that
+disagree with their surroundings are left out; these, and cells with too few points, are interpolated.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from planner.base.errors import Complaint
 from planner.toolpath.as_printed import DeviationField
 from planner.toolpath.bead import Toolpath
 
-ACROSS = 0.3  # of a bead's width to either side: there its top is flat, farther out it falls away
-LONGEST_CELL = 3e-3  # m along and across a bead, or ACROSS of a wider one: over more, a print may bend
-WINDOW, WINDOW_SHARE = 3e-3, 0.5  # m, or of a bead's height: a print farther off is elsewhere, or of another layer
-FEWEST = 4  # points of a cell: the median of fewer can be an outlier
-SCATTER, SCATTER_SHARE = 0.35e-3, 0.1  # m, or of a bead's height, robust deviation of a cell: more is of two surfaces
+ACROSS = 0.3  # × the bead's width to either side: the top is flat there and falls away farther out
+LONGEST_CELL = 3e-3  # m along and across a bead, or ACROSS × its width if that is more: over more, a print may bend
+WINDOW, WINDOW_SHARE = 3e-3, 0.5  # m, or × the bead's height if that is more: points farther off are not of this layer
+FEWEST = 4  # points per cell: the median of fewer can be an outlier
+SCATTER, SCATTER_SHARE = 0.35e-3, 0.1  # m, or × the bead's height if more: a cell that deviates more has two surfaces
 LEAST_COVERED = 0.6  # share of the layer's cells that must be measured
-ELSEWHERE = 0.3  # share of cells with any point near them, below which the cloud is not of this layer
-_ALIKE = 8.0  # times as large, or as small, that a cloud and its layer may be: a scan sees more, or less
-_DENSE = 0.15  # of a bead's width between places by which points find their cell
-_NEAR_MEDIAN = 3.0  # robust deviations, within which points count
+ELSEWHERE = 0.3  # share of cells with a point nearby: below this, the cloud is not of this layer
+_ALIKE = 8.0  # ratio of sizes, either way, up to which cloud and layer count as equal: a scan sees more, or less
+_DENSE = 0.15  # × the bead's width: spacing of the sampled top, by which points find their cell
+_NEAR_MEDIAN = 3.0  # robust deviations from the median within which points count
 _LEAST_SCATTER = 0.02e-3  # m
-_ODD, _LEAST_ODD = 5.0, 0.1e-3  # robust deviations, and m, by which a cell that is left out is off what lies around it
+_ODD, _LEAST_ODD = 5.0, 0.1e-3  # robust deviations, and at least m: a cell this far off its surroundings is left out
 _ROUNDS = 3
-_GROWN = 2.5  # times the radius, step by step, from which holes are interpolated
+_GROWN = 2.5  # growth of the radius from step to step, as needed to interpolate holes
 
 
 @dataclass(frozen=True)
 class PlannedTop(ReadOnlyArrays):
-    """The top of a layer as it was planned: places (n) along the middles of its beads, and cells (m) of these.
+    """The planned top of a layer: points (n) along the centrelines of its beads, grouped into cells (m).
 
     points, normals (n, 3)   part frame [m], normals outward and of unit length
     width (n)                of the bead [m]
-    cell (n)                 which cell each place is of
-    middle, out (m, 3)       place in the middle of each cell, and its normal
+    cell (n)                 the cell that each point belongs to
+    middle, out (m, 3)       centre of each cell [m], and its normal
     bead (m), s (m)          the cell's bead, and the arc length of its middle [m]
     high (m)                 height of the bead there [m]
     """
@@ -57,23 +57,23 @@ class PlannedTop(ReadOnlyArrays):
 
     @property
     def window(self) -> Array:
-        """How far (m) from the planned top the points of each cell may lie [m]."""
+        """Greatest distance (m) of each cell's points from the planned top [m]."""
         return np.asarray(np.maximum(WINDOW, WINDOW_SHARE * self.high))
 
     @property
     def most_scatter(self) -> Array:
-        """Robust deviation (m) that the points of each cell may have [m]."""
+        """Greatest robust deviation (m) of each cell's points [m]."""
         return np.asarray(np.maximum(SCATTER, SCATTER_SHARE * self.high))
 
 
 @dataclass(frozen=True)
 class HeightMap(ReadOnlyArrays):
-    """How far the top of a layer is from where it was planned, in cells (m).
+    """Deviation of a layer's top from the plan, in cells (m).
 
     deviation (m)   along the normal, positive where the print is too high [m]; interpolated where not measured
-    measured (m)    whether points told it;  count (m) how many points;  scatter (m) their robust deviation [m]
-    smoothed (m)    deviation smoothed over `radius` [m]: what layers above make up for
-    widest_hole     from a cell that is interpolated to the nearest measured one, at most [m]
+    measured (m)    whether points measured it;  count (m) how many points;  scatter (m) their robust deviation [m]
+    smoothed (m)    deviation smoothed over `radius` [m]: what the layers above compensate
+    widest_hole     greatest distance from an interpolated cell to the nearest measured one [m]
     """
 
     top: PlannedTop
@@ -124,9 +124,9 @@ def planned_top(toolpath: Toolpath, layer: int) -> PlannedTop:
 
 
 def height_map(top: PlannedTop, cloud: Array, radius: float, complain: Complaint) -> HeightMap:
-    """The map of a layer by a cloud (n, 3) in the part frame [m], smoothed over a radius [m].
+    """The height map of a layer from a cloud (n, 3) in the part frame [m], smoothed over a radius [m].
 
-    Raises InputError, made by `complain`, for a cloud that lies elsewhere, or covers too little of the layer.
+    Raises InputError, made by `complain`, for a cloud that lies elsewhere or covers too little of the layer.
     """
     check_place(top, cloud, complain)
     height, cell = _heights(top, cloud)
@@ -144,7 +144,7 @@ def height_map(top: PlannedTop, cloud: Array, radius: float, complain: Complaint
     share = float(measured.mean())
     if share < LEAST_COVERED:
         reason = f"covers {share:.0%} of the layer's top: {int(measured.sum())} of {len(measured)} cells have {FEWEST} points "
-        hint = f"at least {LEAST_COVERED:.0%}; a denser scan, or --fit if it is a little displaced"
+        hint = f"at least {LEAST_COVERED:.0%} is needed: scan more densely, or use --fit if it is slightly displaced"
         raise complain(reason + "or more that agree", hint=hint)
     deviation, hole = _filled(top, deviation, measured, radius)
     found = HeightMap(top, deviation, measured, count, scatter, deviation, radius, hole)
@@ -153,7 +153,7 @@ def height_map(top: PlannedTop, cloud: Array, radius: float, complain: Complaint
 
 
 def check_size(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
-    """Raise InputError, made by `complain`, for a cloud (n, 3) [m] that is a thousand times as large as the layer, or as small."""
+    """Raise InputError, made by `complain`, for a cloud (n, 3) [m] about 1000 times as large or small as the layer."""
     ours, theirs = (
         float(np.linalg.norm(np.subtract(*np.quantile(x, (0.98, 0.02), axis=0)))) for x in (top.middle, cloud)
     )
@@ -162,7 +162,7 @@ def check_size(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
         if 1.0 / _ALIKE < ratio / factor < _ALIKE:
             size = f"{theirs * 1e3:.4g} mm across, about {factor:g} times the layer's {ours * 1e3:.4g} mm"
             raise complain(
-                f"is {size}: its unit is another one", hint="--unit m or mm; without it mm, or what its header says"
+                f"is {size}: it is in another unit", hint="--unit m or mm; the default is what its header says, or mm"
             )
 
 
@@ -183,12 +183,12 @@ def check_place(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
 
 
 def robust(values: Array) -> float:
-    """Standard deviation of most of values (n), by their median absolute deviation."""
+    """Robust standard deviation of values (n), from their median absolute deviation."""
     return float(MAD_TO_SIGMA * np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
 def _heights(top: PlannedTop, cloud: Array) -> tuple[Array, Ints]:
-    """Heights (k) above the planned top [m] of the points that lie on the middles of beads, and the cell (k) of each."""
+    """Heights (k) above the planned top [m] of the points near the centrelines of beads, and the cell (k) of each."""
     window = top.window[top.cell]
     away, near = cKDTree(top.points).query(cloud, distance_upper_bound=2.0 * float(window.max()))
     there = np.flatnonzero(np.isfinite(away))
@@ -203,7 +203,7 @@ def _heights(top: PlannedTop, cloud: Array) -> tuple[Array, Ints]:
 
 
 def _cells(height: Array, cell: Ints, count: int) -> tuple[Array, Array, Ints]:
-    """Robust mean (m) and deviation (m) of the heights (k) in each of so many cells, and how many heights count (m)."""
+    """Robust mean (m) and deviation (m) of the heights (k) in each of `count` cells, and how many heights count (m)."""
     middle = _medians(height, cell, count)
     scatter = np.maximum(MAD_TO_SIGMA * _medians(np.abs(height - middle[cell]), cell, count), _LEAST_SCATTER)
     kept = np.abs(height - middle[cell]) <= _NEAR_MEDIAN * scatter[cell]
@@ -213,7 +213,7 @@ def _cells(height: Array, cell: Ints, count: int) -> tuple[Array, Array, Ints]:
 
 
 def _medians(values: Array, group: Ints, count: int) -> Array:
-    """Median (m) of the values (k) in each of so many groups; 0 in empty ones."""
+    """Median (m) of the values (k) in each of `count` groups; 0 in empty ones."""
     order = np.lexsort((values, group))
     size = np.bincount(group, minlength=count)
     first = np.cumsum(size) - size
@@ -225,7 +225,7 @@ def _medians(values: Array, group: Ints, count: int) -> Array:
 
 
 def _filled(top: PlannedTop, deviation: Array, measured: Flags, radius: float) -> tuple[Array, float]:
-    """Deviations (m) with those of cells that were not measured by the cells around their holes; and how far in these are."""
+    """Deviations (m) with holes interpolated, and the greatest distance of a hole from a measured cell [m]."""
     out = deviation.copy()
     holes = np.flatnonzero(~measured)
     if not len(holes):

@@ -1,4 +1,4 @@
-"""A test program that shows a robot's limits, and the limits read off its recording."""
+"""Write a test program that shows a robot's limits, and read the limits off its recording."""
 
 from planner.base.launch import end, launch
 

@@ -1,4 +1,4 @@
-"""`beadwise identify write` makes a program that shows a robot's limits, `beadwise identify read` finds them in its recording.
+"""`beadwise identify write` makes a program that shows a robot's limits, `identify read` finds them in its recording.
 
 python -m planner.feedback.identify write cylinder_logo
 python -m planner.feedback.identify read run.csv cylinder_logo
@@ -72,8 +72,8 @@ from planner.problem import Problem, load_problem
 from planner.problem.rewrite import Value, write_changed
 from planner.toolpath.build import build_toolpath
 
-BY = "identify"  # whose files a folder of results lists
-UNEXPLAINED = 3.0  # times the noise at rest, from which it is said that profiles leave more
+BY = "identify"  # the command under which a results folder lists the files
+UNEXPLAINED = 3.0  # × the noise at rest: a residual above this is reported
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -124,13 +124,13 @@ def identify_write_command() -> Command:
         "--start",
         type=_numbers,
         metavar="VALUES",
-        help="posture around which joints move, one value for each in degrees, or mm where it slides (default: home)",
+        help="posture around which joints move: one value per joint in degrees, or mm if it slides (default: home)",
     )
     parser.add_argument(
         "--most",
         type=_lengths,
         metavar="VALUES",
-        help="how far each joint may go, one value for all or one for each (default: 180 degrees, 1000 mm)",
+        help="how far each joint may go: one value for all, or one per joint (default: 180 degrees, 1000 mm)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<problem>_identify")
     return parser
@@ -144,7 +144,7 @@ def _write(options: argparse.Namespace) -> int:
     target = options.out or Path("out") / f"{problem.name}_identify"
     with results_folder(target, BY) as fresh:
         toolpath = build_toolpath(problem)
-        # whichever of several nozzles is on the flange
+        # whichever of several nozzles is mounted on the flange
         cells = [cell.with_nozzle(k) for k in range(len(cell.nozzles))] or [cell]
         found = [free_spaces(each, obstacles_of(problem, each, toolpath), start, most) for each in cells]
         spaces = [common_space(each) for each in zip(*found, strict=True)]
@@ -168,7 +168,7 @@ def _space_lines(cell: Cell, asked: AskedMoves, spaces: Sequence[FreeSpace]) -> 
     duration = asked.rests.sum() + sum(
         move_profile(abs(move.end - move.start), asked_limits(asked, cell, move)).total for move in asked.moves
     )
-    return [*out, f"{len(asked.moves)} moves, some {duration / 60:.1f} min by the limits of the robots' files"]
+    return [*out, f"{len(asked.moves)} moves, about {duration / 60:.1f} min by the limits in the robots' files"]
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -189,12 +189,15 @@ def identify_read_command() -> Command:
         {
             0: "limits found and written",
             2: "wrong input, or a recording of something else; nothing written",
-            3: "the recording tells no limit; nothing written",
+            3: "the recording shows no limit; nothing written",
             130: "interrupted",
         },
     )
     parser.add_argument(
-        "log", type=Path, metavar="LOG", help="the recording: CSV with time and joints, or a bag of ROS, see the page"
+        "log",
+        type=Path,
+        metavar="LOG",
+        help="the recording: CSV with time and joints, or a ROS bag (see the documentation)",
     )
     _add_cell(parser)
     parser.add_argument(
@@ -229,7 +232,7 @@ def _read(options: argparse.Namespace) -> int:
     told = [*_limit_lines(cell, fits), *_note_lines(problem, cell, fits), *_delay_lines(delays), *_off_lines(log, cell)]
     print("\n".join([*log.remarks, *told]))
     if not any(usable(found) for fit in fits for found in fit.limits):
-        print("no limit is told that is not in the robots' files: nothing written")
+        print("the recording shows no limit of the robots' own: nothing written")
         return EXIT_NOT_VERIFIED
     written = write_measured(robots, fits, delays, options.log, options.out)
     print("\n".join([*map(str, written), "name them in the problem: cell.arm, cell.positioner.robot, cell.base.robot"]))
@@ -237,16 +240,16 @@ def _read(options: argparse.Namespace) -> int:
 
 
 def _read_run(options: argparse.Namespace, problem: Problem, cell: Cell) -> int:
-    """How a plan's program was followed."""
+    """Report how the robot followed a plan's program; returns the exit code."""
     arm = robots_of(problem, cell)[0]
     check_targets([arm], options.out)
     run = planned_run(options.plan, problem, cell)
     recorded = recorded_run(read_log(options.log, cell, options.columns, options.topic), run, cell)
     found = findings(run.path, recorded.followed)
     lines = path_lines(found, recorded, cell)
-    print("\n".join([*recorded.remarks, f"set beside {run.words}", *lines]))
+    print("\n".join([*recorded.remarks, f"compared with {run.words}", *lines]))
     if not controller_values(found):
-        print("nothing is told that forecasts use: no robot's file written")
+        print("the recording shows nothing that forecasts use: no robot file written")
         return EXIT_VERIFIED
     about = [line for line in lines if not line.startswith("  ")]
     print(f"{write_controller(arm, found, about, options.log, options.out)}\nname it in the problem: cell.arm")
@@ -254,13 +257,13 @@ def _read_run(options: argparse.Namespace, problem: Problem, cell: Cell) -> int:
 
 
 def _asked_file(given: Path | None, recorded: Path, folder: str, name: str) -> Path:
-    """The file with what was asked: the one that is given, else beside what was recorded, or where it was written."""
+    """The file of what was asked: the given one, else that next to the recording, else that where it was written."""
     beside = recorded.parent / name
     return given or (beside if beside.is_file() else Path("out") / folder / name)
 
 
 def _limit_lines(cell: Cell, fits: Sequence[JointFit]) -> list[str]:
-    """A table: joint, and each limit with its standard error beside the file's."""
+    """A table of joints: each limit with its standard error, next to that in the robot's file."""
     limits = cell.limits
     heads = [f"{what} [{unit}]" for what, unit in zip(QUANTITIES, ("rad/s", "rad/s²", "rad/s³"), strict=True)]
     if limits.sliding:
@@ -287,8 +290,8 @@ def _note_lines(problem: Problem, cell: Cell, fits: Sequence[JointFit]) -> list[
         name = cell.joint_names[fit.joint]
         if fit.braking is not None:
             out.append(
-                f"{name} brakes otherwise than it speeds up, by {fit.braking[0]:.4g} with a jerk of {fit.braking[1]:.4g}: "
-                "the lesser are taken, where they are told"
+                f"{name} brakes differently from speeding up, by {fit.braking[0]:.4g} with a jerk of "
+                f"{fit.braking[1]:.4g}: the lesser values are taken, where they are shown"
             )
         for what, found in zip(QUANTITIES, fit.limits, strict=True):
             if found.spread[1] > found.spread[0]:
@@ -299,22 +302,22 @@ def _note_lines(problem: Problem, cell: Cell, fits: Sequence[JointFit]) -> list[
             time, error = fit.averaged
             out.append(
                 f"{name} smooths its profile by a mean over {1e3 * time:.3g} ±{1e3 * error:.2g} ms: from rest it reaches any "
-                "acceleration in that time, and its jerk is one over the other"
+                "acceleration in that time, and its jerk is that acceleration over that time"
             )
         if fit.either is not None:
             out.append(
-                f"{name}: moves do not tell a limited jerk from a mean over a fixed time, with which it would be "
+                f"{name}: moves cannot tell a limited jerk from a mean over a fixed time, with which it would be "
                 f"{fit.either:.4g}; the lesser is taken"
             )
         if fit.residual > UNEXPLAINED * max(fit.noise, FLOOR):
             left, unit = (1e3 * fit.residual, "mm") if fit.joint in cell.limits.sliding else (
                 float(np.degrees(fit.residual)), "degrees"
             )  # fmt: skip
-            out.append(f"{name}: {left:.2g} {unit} are left that no limits explain; at rest it is less")
+            out.append(f"{name}: {left:.2g} {unit} remain that no limits explain; at rest it is less")
         if fit.lag > 0.0:
             out.append(
-                f"{name} follows its profile with a lag of {1e3 * fit.lag:.1f} ms, without which its jerk is told: "
-                "a recording with commands would tell them apart better"
+                f"{name} follows its profile with a lag of {1e3 * fit.lag:.1f} ms, which its jerk does not include: "
+                "a recording with commands would separate them better"
             )
         if name in problem.cell.limits:
             out.append(f"{name}: cell.limits of the problem stand above what the robot's file says")
@@ -322,9 +325,9 @@ def _note_lines(problem: Problem, cell: Cell, fits: Sequence[JointFit]) -> list[
 
 
 def _delay_lines(delays: Mapping[int, JointDelay]) -> list[str]:
-    """What all joints have in common, and the joint that is latest."""
+    """The delay that all joints share, and its range over the joints."""
     if not delays:
-        return ["no commanded joints in the recording: the controller's delay is not told"]
+        return ["no commanded joints in the recording: the controller's delay is not shown"]
     found = list(delays.values())
     weights = np.array([1.0 / max(each.total_error, 1e-6) ** 2 for each in found])
     totals = np.array([each.total for each in found])
@@ -337,7 +340,7 @@ def _delay_lines(delays: Mapping[int, JointDelay]) -> list[str]:
 
 
 def _off_lines(log: MatchedLog, cell: Cell) -> list[str]:
-    """How far joints and tip leave the path of their commands, whatever the delay; nothing without commands."""
+    """How far joints and tip deviate from the path of their commands, whatever the delay; nothing without commands."""
     if log.commanded is None:
         return []
     part = slice(int(log.rests[0, 0]), int(log.rests[-1, 1]) + 1)
@@ -358,7 +361,7 @@ def _add_cell(parser: Command) -> None:
 def _numbers(
     text: str, what: str = "list of numbers", count: int | None = None, low: float = -math.inf, high: float = math.inf
 ) -> tuple[float, ...]:
-    """Numbers between low and high, so many of them if there is a count."""
+    """Numbers between low and high, exactly `count` of them if given."""
     try:
         values = tuple(float(word) for word in text.replace(",", " ").split())
     except ValueError:
@@ -470,7 +473,7 @@ def extruder_read_command() -> Command:
         {
             0: "found",
             2: "wrong input; nothing written",
-            3: "the table tells nothing; nothing written",
+            3: "the table shows nothing; nothing written",
             130: "interrupted",
         },
     )
@@ -482,7 +485,7 @@ def extruder_read_command() -> Command:
         "--density",
         type=_positive,
         metavar="G_CM3",
-        help="of the material, without which masses do not tell how much is laid",
+        help="of the material; without it masses do not show how much is laid",
     )
     parser.add_argument(
         "--asked",
@@ -508,7 +511,7 @@ def _read_line(options: argparse.Namespace) -> int:
     values = process_values(found, line, problem)
     print("\n".join(flow_lines(found)))
     if not values:
-        print("nothing is told that could be written")
+        print("the table shows nothing that could be written")
         return EXIT_NOT_VERIFIED
     if options.write is None:
         print(_section(values))

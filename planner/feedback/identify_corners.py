@@ -1,4 +1,4 @@
-"""Corners of a followed path: how much of them is cut, and the share of a zone and the lag of the arm that explain it."""
+"""Corners of a followed path: how far they are cut, and the zone share and arm lag that explain it."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from planner.export.player.path import lagging_both_ways
 from planner.feedback.filters import smoothed, window_of
 from planner.feedback.identify_path import DEVIATION_SPAN, SHOWN, CommandedPath, FollowedPath, ShownValue
 
-TURN = np.radians(5.0)  # of the direction at a target, from which it is a corner
-SIDES = 1e-3  # m that lines have at least on both sides of a corner
-CORNER_TICK = 1e-3  # s between instants at which a corner is modelled
-CORNER_SPAN = 0.15  # s before and behind it: some times the lag of any arm
-CLEAR_CUT = 6.0  # times the noise, from which cuts tell the lag
-LEFT = 0.05  # of a cut, from which on the line is left
+TURN = np.radians(5.0)  # change of direction at a target, from which it is a corner
+SIDES = 1e-3  # m: least length of the lines on both sides of a corner
+CORNER_TICK = 1e-3  # s: time step of a modelled corner
+CORNER_SPAN = 0.15  # s modelled before and after it: several times the lag of any arm
+CLEAR_CUT = 6.0  # × the noise: cuts above this show the lag
+LEFT = 0.05  # × the cut: deviation from which the line counts as left
 LEAST_SAMPLES = 8  # near a corner
-MODEL = 0.05  # of a cut: no controller has just parabolas and a lag
-TRUE = 0.1  # of lag, share and ramps: how the speed changes within a corner is not seen, and no ramp is quite even
+MODEL = 0.05  # × the cut: model error, as no controller has just parabolas and a lag
+TRUE = 0.1  # relative error of lag, share and ramps: speed changes in corners are not seen, and no ramp is quite even
 LEAST_CORNERS = 4
 
 
 @dataclass(frozen=True)
 class CutCorners:
-    """Corners with zones of one radius [m]: how many, by how much they are cut [m], the scatter [m], and how far before the
+    """Corners with zones of one radius [m]: their count, mean and greatest cut [m], scatter [m], and how far before the
     target the tip leaves its line [m]."""
 
     zone: float
@@ -41,8 +41,9 @@ class CutCorners:
 
 @dataclass(frozen=True)
 class PassedCorner:
-    """How a corner was passed: zone, reach of its parabola, cut, where the line was left [m]; directions before and behind
-    (3 each); when the tip was how far from it on the programmed lines (g) [s], (g) [m]."""
+    """How a corner was passed: zone, reach of its parabola, cut, and how far before it the line was left [m];
+    directions before and after (3 each); times (g) [s] and distances from the corner along the programmed lines (g)
+    [m]."""
 
     zone: float
     reach: float
@@ -54,21 +55,21 @@ class PassedCorner:
     way: Array
 
     def modelled(self, depth: float, lag: float) -> float:
-        """By how much it is cut [m] by a share of its parabola, and a lag [s] before and behind."""
+        """How far it is cut [m] by a share of its parabola, smoothed by a lag [s] forwards and backwards in time."""
         s = self.way[:, None]
         lines = np.minimum(s, 0.0) * self.comes + np.maximum(s, 0.0) * self.goes
         u = np.clip(0.5 + 0.5 * s / self.reach, 0.0, 1.0)
         parabola = self.reach * (u**2 * self.goes - (1.0 - u) ** 2 * self.comes)
         places = np.where(np.abs(s) < self.reach, lines + depth * (parabola - lines), lines)
         if lag > CORNER_TICK:
-            # what was commanded before and after counts by exp(-|dt| / lag)
+            # commands before and after are weighted by exp(-|dt| / lag)
             places = lagging_both_ways(places, float(np.exp(-CORNER_TICK / lag)), moving=True)
-        places = smoothed(places, window_of(DEVIATION_SPAN, CORNER_TICK))  # as recorded ones are
+        places = smoothed(places, window_of(DEVIATION_SPAN, CORNER_TICK))  # like recorded paths
         return float(np.linalg.norm(places, axis=1).min())
 
 
 def passed_corners(path: CommandedPath, followed: FollowedPath) -> list[PassedCorner]:
-    """All targets with a zone at which the direction changes between two lines."""
+    """All targets with a zone where the direction changes between two lines."""
     way = path.way
     at = way[path.target]
     out = []
@@ -110,16 +111,16 @@ def passed_corners(path: CommandedPath, followed: FollowedPath) -> list[PassedCo
 
 
 def _nearest(tip: Array, place: Array) -> float:
-    """How near a polyline (k, 3) passes a place (3) [m]."""
+    """Distance of a polyline (k, 3) from a point (3) [m]."""
     first, step = tip[:-1], np.diff(tip, axis=0)
     u = np.clip(((place - first) * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-30), 0.0, 1.0)
     return float(np.linalg.norm(first + u[:, None] * step - place, axis=1).min())
 
 
 def _passed(followed: FollowedPath, near: Indices, at: float, width: float) -> tuple[Array, Array] | None:
-    """When (g) [s] how much (g) [m] of programmed lines lay behind a corner; None where too few samples tell.
+    """Times (g) [s] and distances past a corner along the programmed lines (g) [m]; None if there are too few samples.
 
-    Near the corner, where a cut path has no place on the lines, a cubic between both sides.
+    Near the corner, where a cut path has no counterpart on the lines, a cubic joins both sides.
     """
     t, way, speed = followed.time[near], followed.way[near] - at, followed.speed[near]
     behind = np.flatnonzero(way > width)
@@ -140,12 +141,12 @@ def _passed(followed: FollowedPath, near: Indices, at: float, width: float) -> t
 
 
 def _at(tip: Array, way: Array, place: float) -> Array:
-    """The tip (3) at metres of path."""
+    """The tip (3) at an arc length of the path [m]."""
     return np.array([np.interp(place, way, column) for column in tip.T])
 
 
 def by_zone(corners: Sequence[PassedCorner]) -> tuple[CutCorners, ...]:
-    """How much is cut of corners of each zone."""
+    """How far corners are cut, by zone radius."""
     out = []
     for zone in sorted({round(corner.zone, 6) for corner in corners}):
         own = [corner for corner in corners if round(corner.zone, 6) == zone]
@@ -158,13 +159,13 @@ def by_zone(corners: Sequence[PassedCorner]) -> tuple[CutCorners, ...]:
 
 
 def corner_shape(corners: Sequence[PassedCorner], noise: float) -> tuple[ShownValue, ShownValue]:
-    """Which share of its parabola a zone is cut by, and the time constant of the lag that rounds corners besides [s]."""
+    """The share of a zone's parabola that is cut, and the time constant of the lag that rounds corners further [s]."""
     none = float("nan")
     if len(corners) < LEAST_CORNERS:
         return (ShownValue(none, none, False, f"{len(corners)} corners, {LEAST_CORNERS} are needed"),) * 2
     cuts = np.array([corner.cut for corner in corners])
     if np.percentile(cuts, 10.0) < CLEAR_CUT * noise:
-        # the nearest of places with noise is nearer than it is
+        # noise makes the nearest sample look nearer than it is
         return (ShownValue(none, none, False, "noise hides how much its corners are cut"),) * 2
     weight = 1.0 / np.hypot(noise, MODEL * cuts)
 
@@ -180,7 +181,7 @@ def corner_shape(corners: Sequence[PassedCorner], noise: float) -> tuple[ShownVa
 
 def _shown(value: float, error: float) -> ShownValue:
     error = float(np.hypot(error, TRUE * value)) if error > 0.0 else error
-    told = bool(0.0 < error < SHOWN * value)  # at an end of what is looked for there is no error
+    told = bool(0.0 < error < SHOWN * value)  # at a bound of the search there is no error
     return ShownValue(
         value,
         error,

@@ -1,4 +1,4 @@
-"""How late joints follow their commands: a pure delay and a first-order lag, fitted by shifting and filtering these."""
+"""How late joints follow their commands: a pure delay and a first-order lag, fitted by shifting and filtering them."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from planner.feedback.identify_fit import FLOOR
 from planner.feedback.identify_match import MatchedLog
 from planner.feedback.identify_program import AskedMoves
 
-GRID = 0.5e-3  # s at which commands are filtered: a fraction of any controller's cycle
-LONGEST = 0.25  # s of delay that is looked for; longer ones reach into the rest before
-EARLIEST = -0.02  # s: stamps of the two may be taken at other instants of a cycle
-FIRST_DELAYS = np.arange(EARLIEST, LONGEST, 4e-3)  # s at which the search may begin
+GRID = 0.5e-3  # s: time step at which commands are filtered, a fraction of any controller's cycle
+LONGEST = 0.25  # s: longest delay of the search; longer ones reach into the rest before
+EARLIEST = -0.02  # s: commands and positions may be stamped at different instants of a cycle
+FIRST_DELAYS = np.arange(EARLIEST, LONGEST, 4e-3)  # s: candidate starts of the search
 FIRST_DELAY_LAGS = (1e-3, 0.01, 0.03)  # s, likewise
-SHORTEST_LAG = 1e-4  # s: less is none
+SHORTEST_LAG = 1e-4  # s: a shorter lag counts as none
 
 
 @dataclass(frozen=True)
 class JointDelay:
-    """By how much a joint follows its commands late.
+    """How late a joint follows its commands.
 
-    delay, lag   pure delay and time constant of a first-order lag [s], and their standard errors
-    total        of both [s]: by so much it is late at a steady speed
+    delay, lag   pure delay and time constant of a first-order lag [s], with their standard errors
+    total        sum of both [s]: how late the joint is at a steady speed
     """
 
     joint: int
@@ -42,7 +42,7 @@ class JointDelay:
 
 @dataclass(frozen=True)
 class FollowedMove(ReadOnlyArrays):
-    """Commands on an even grid (g) from `start` on [s], and where the joint was at times (m), both from the move's start."""
+    """Commands on an even grid (g) from `start` [s], and the joint at times (m) [s]; relative to the rest before."""
 
     start: float
     commands: Array
@@ -50,10 +50,10 @@ class FollowedMove(ReadOnlyArrays):
     executed: Array
 
     def modelled(self, delay: float, lag: float) -> Array:
-        """Where the joint is (m) with a delay and a lag [s]."""
+        """Modelled positions (m) of the joint with a delay and a lag [s]."""
         followed = self.commands
         if lag > SHORTEST_LAG:
-            # exact for commands that are straight from one grid point to the next
+            # exact for commands that are linear between grid points
             fading = np.exp(-GRID / lag)
             first = 1.0 - lag / GRID * (1.0 - fading)
             followed = lfilter([first, 1.0 - fading - first], [1.0, -fading], self.commands)
@@ -62,7 +62,7 @@ class FollowedMove(ReadOnlyArrays):
 
 
 def fit_delay(log: MatchedLog, asked: AskedMoves, joint: int) -> JointDelay | None:
-    """How late a joint follows its commands; None where the recording has no commands."""
+    """How late a joint follows its commands; None if the recording has no commands."""
     if log.commanded is None:
         return None
     moves = [_followed(log, log.commanded, k, joint) for k, move in enumerate(asked.moves) if move.joint == joint]
@@ -99,7 +99,7 @@ def _squares(moves: Sequence[FollowedMove], delay: float, lag: float) -> float:
 
 
 def _solve_delay(moves: Sequence[FollowedMove], noise: float, start: Array) -> tuple[Array, Array, float]:
-    """Delay and lag (2), their covariance (2, 2), and the sum of squares in the noise's variance."""
+    """Delay and lag (2), their covariance (2, 2), and the sum of squares in units of the noise's variance."""
 
     def residuals(x: Array) -> Array:
         return np.concatenate([(move.modelled(x[0], x[1]) - move.executed) / noise for move in moves])

@@ -1,8 +1,9 @@
-"""How late an extruder's flow follows its motor, and how much it lays: a line with steps of flow, weighed or looked at.
+"""How late an extruder's flow follows its motor, and how much it lays: a line with flow steps, weighed or photographed.
 
-The test line is a problem of its own: a straight bead whose width steps while the nozzle keeps its speed, planned, checked
-and written as any print. Pressure makes the flow follow the motor as a first-order system, so the bead comes to each new
-width over a length of speed times lag. What was weighed in segments, or measured in a picture, is fitted with that.
+The test line is a problem of its own: a straight bead whose width steps while the nozzle keeps its speed, planned,
+checked and written like any print. Pressure makes the flow follow the motor as a first-order system, so the bead
+approaches each new width over a length of speed times lag. This model is fitted to the masses of segments, or to widths
+measured in a picture.
 """
 
 from __future__ import annotations
@@ -25,26 +26,26 @@ from planner.problem.layers import GcodeLayersSpec
 from planner.problem.rewrite import Value, changed_text, without
 from planner.toolpath.gcode.reader import read_gcode
 
-BY = "identify"  # whose files a folder of results lists
+BY = "identify"  # the command under which a results folder lists the files
 FORMAT = "beadwise extruder line 1"
 LARGEST_FILE = 5_000_000  # bytes
-# Shares of the line, and the bead's width there, in usual ones: up and down, by more and by less, with time to settle.
+# Shares of the line, and the bead's width there × the usual one: large and small steps both ways, with time to settle.
 STEPS = ((0.22, 1.0), (0.18, 1.5), (0.18, 1.0), (0.16, 0.7), (0.14, 1.5), (0.12, 1.0))
-LENGTH = 240e-3  # m: at 40 mm/s a lag of 0.2 s takes 8 mm for a step to be done by two thirds
-WIDTHS = 24.0  # of the bead, where that is more: the shortest section is three times as long as the bead is wide
+LENGTH = 240e-3  # m: at 40 mm/s and a lag of 0.2 s, a step takes 8 mm to be two thirds done
+WIDTHS = 24.0  # × the bead's width, if that is longer: the shortest section is then about three times as long as wide
 SHORTEST = 60e-3  # m
-RAMP = 0.1e-3  # m over which a width steps: waypoints stand apart
+RAMP = 0.1e-3  # m over which a width steps, as waypoints must not coincide
 SPACING = 1e-3  # m between waypoints
 LEAST_ROWS = 8
-OFF = 1e-3  # m by which a ruler's zero is off the line's beginning, as a standard deviation
-MOST_LAG = 2.0  # s: what process.extruder.lag_s takes
-ODD = 4.0  # times the median, beyond which a row is a mistake: the line's own steps are 1.5 times
-LEAST_EXPLAINED = 0.2  # of what varies in a table, which the line's steps must explain
-FACTOR = 5.0  # times what the line takes, beyond which a table is in another unit
-LITTLE = 1e-3  # s of lag
-SHOWN = 0.25  # standard error over value up to which a value is told
-# What belongs to a print, and not to a line; without the lag the motor steps, so that a table shows the flow, and without a
-# prime the line begins as it is modelled, with no flow.
+OFF = 1e-3  # m: standard deviation of a ruler's zero from the start of the line
+MOST_LAG = 2.0  # s: the upper bound of process.extruder.lag_s
+ODD = 4.0  # × the median: beyond, a row is a mistake, as the line's own steps are 1.5 times
+LEAST_EXPLAINED = 0.2  # share of a table's variance that the line's steps must explain
+FACTOR = 5.0  # × what the line requires: beyond, a table is in another unit
+LITTLE = 1e-3  # s: a lag below this hardly changes the model
+SHOWN = 0.25  # standard error over value up to which a value is reported
+# What belongs to a print, and not to a line. Without the lag the motor steps, so that a table shows the flow; without a
+# prime the line begins as modelled, with no flow.
 PRINTED = ("part", "layers", "as_printed", "as_run", "process.speeds", "process.layer_time", "process.pauses",
            "process.order", "process.seam", "process.skirt", "process.fan", "process.prime",
            "process.extruder.lag_s")  # fmt: skip
@@ -55,11 +56,11 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class FlowLine(ReadOnlyArrays):
-    """What a test line asks (k sections), SI units.
+    """A test line as it was requested (k sections), SI units.
 
-    ends (k + 1)   where sections begin and end along it, from 0 [m]
+    ends (k + 1)   where the sections begin and end along it, from 0 [m]
     area (k)       cross-section of the bead [m²]
-    speed [m/s], height [m], rounded: the bead's section is rounded;  filament: its diameter [m]
+    speed [m/s], height [m], rounded: the bead has a rounded section;  filament: its diameter [m]
     """
 
     problem: str
@@ -72,11 +73,11 @@ class FlowLine(ReadOnlyArrays):
 
     @property
     def length(self) -> float:
-        """Of the line [m]."""
+        """Length of the line [m]."""
         return float(self.ends[-1])
 
     def laid(self, s: Array, lag: float) -> Array:
-        """Volume (n) [m³] laid from the beginning to places s (n) [m], where flow follows the motor with a lag [s]."""
+        """Volume (n) [m³] laid from the start to arc lengths s (n) [m]; flow follows the motor with a lag [s]."""
         reach = max(self.speed * lag, 1e-9)
         out, area = np.zeros(len(s)), 0.0
         for begin, end, wanted in zip(self.ends, self.ends[1:], self.area, strict=False):
@@ -86,7 +87,7 @@ class FlowLine(ReadOnlyArrays):
         return out
 
     def area_at(self, s: Array, lag: float) -> Array:
-        """Cross-section (n) [m²] at places s (n) [m]."""
+        """Cross-section (n) [m²] at arc lengths s (n) [m]."""
         reach = max(self.speed * lag, 1e-9)
         out, area = np.zeros(len(s)), 0.0
         for begin, end, wanted in zip(self.ends, self.ends[1:], self.area, strict=False):
@@ -98,8 +99,7 @@ class FlowLine(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class LineTable(ReadOnlyArrays):
-    """What was found of a line (n rows): places [m], both ends of segments that were weighed, and masses [kg]; or one place
-    each, and widths [m]."""
+    """Measurements of a line (n rows): both ends and masses [kg] of weighed segments, or arc lengths and widths [m]."""
 
     file: Path
     begin: Array
@@ -110,9 +110,9 @@ class LineTable(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class FoundFlow:
-    """Lag [s] and what is laid over what was asked, each with its standard error; NaN where the table does not tell it.
+    """Lag [s] and ratio of laid to requested flow, each with its standard error; NaN if the table does not show it.
 
-    offset    of the table's zero from the line's beginning [m];  residual: what is left, over the mean value
+    offset    of the table's zero from the start of the line [m];  residual: relative to the mean value
     """
 
     lag: float
@@ -125,7 +125,7 @@ class FoundFlow:
 
     @property
     def lag_told(self) -> bool:
-        """Whether there is a lag that stands out from its error."""
+        """Whether the lag stands out from its error."""
         return self.lag_error < SHOWN * self.lag
 
 
@@ -134,17 +134,15 @@ class FoundFlow:
 
 
 def line_of(problem: Problem, length: float, bead: tuple[float, float] | None = None) -> FlowLine:
-    """The sections of a test line; bead: width and height [m], where they are not the problem's.
+    """The sections of a test line; bead: width and height [m], if they are not the problem's.
 
-    Raises InputError for an extruder whose flow cannot step at an even speed, and for beads without a height.
+    Raises InputError for an extruder whose flow cannot step at a constant speed, and for beads without a height.
     """
     process = problem.process
     width, height = bead or (process.bead.width, process.bead.height)
     if not math.isfinite(height):
         hint = "--bead gives width and height, for example 0.6,0.3"
-        raise InputError(
-            "how high beads are stands in their G-code", file=problem.file, field="process.bead", hint=hint
-        )
+        raise InputError("the height of beads is in their G-code", file=problem.file, field="process.bead", hint=hint)
     for is_so, reason, field in (
         (process.section == "fibre", "a fibre is as thick as it is fed", "process.fibre"),
         (process.extruder.motor == "on_off", "a motor that is only on or off has one flow", "process.extruder.motor"),
@@ -168,7 +166,7 @@ def line_of(problem: Problem, length: float, bead: tuple[float, float] | None = 
 
 
 def usual_length(width: float) -> float:
-    """Length of a line [m] with a bead of some width [m], where nothing is said of it."""
+    """Default length of a line [m] with a bead of a given width [m]."""
     return max(LENGTH, WIDTHS * width)
 
 
@@ -184,7 +182,7 @@ def width_of(area: Array, height: float, rounded: bool) -> Array:
 
 
 def waypoints_text(line: FlowLine, begin: Array, end: Array, normal: Array) -> str:
-    """The line as a file of waypoints, from one place to another (3) [m]: mm, normals, and widths."""
+    """The line as a file of waypoints from one point to another (3) [m]: positions in mm, normals, and widths in mm."""
     along = (end - begin) / np.linalg.norm(end - begin)
     inner = line.ends[1:-1]
     s = np.unique(
@@ -198,14 +196,14 @@ def waypoints_text(line: FlowLine, begin: Array, end: Array, normal: Array) -> s
 
 
 def problem_text(problem: Problem, line: FlowLine, name: str, folder: Path) -> str:
-    """The text of the line's problem: cell and process of another, its layers a file of waypoints."""
+    """The text of the line's problem: cell and process of a given problem, and a file of waypoints as its layers."""
     changes: dict[str, Value] = {"name": name, "process.bead.height_mm": 1e3 * line.height}
     text = without(changed_text(problem, changes, folder), PRINTED)
     return f"{text.rstrip()}\n\n# A line with steps of flow, by beadwise identify extruder.\nlayers:\n  source: {{waypoints: {name}.txt}}\n"
 
 
 def line_text(line: FlowLine) -> str:
-    """JSON of what a line asks: mm, mm², mm/s."""
+    """JSON of a requested line: mm, mm², mm/s."""
     data = {
         "format": FORMAT,
         "problem": line.problem,
@@ -220,7 +218,7 @@ def line_text(line: FlowLine) -> str:
 
 
 def read_asked_line(file: Path, problem: Problem) -> FlowLine:
-    """What a line asked. Raises InputError for a file that is none, or of another problem."""
+    """Read a requested line. Raises InputError for another kind of file, or another problem's."""
     hint = "the file that `identify extruder write` made beside its problem; --asked names it"
     try:
         data = json.loads(file.read_text("utf-8"))
@@ -238,12 +236,12 @@ def read_asked_line(file: Path, problem: Problem) -> FlowLine:
     except FileNotFoundError:
         raise InputError("there is no such file", file=file, hint=hint) from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
-        raise InputError(f"is not what a line asked: {error}"[:160], file=file, hint=hint) from error
+        raise InputError(f"does not say what a line asked: {error}"[:160], file=file, hint=hint) from error
     sizes = np.array([line.speed, line.height, line.filament, *line.area, *np.diff(line.ends)])
     if len(line.ends) != len(line.area) + 1 or not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
-        raise InputError("is not what a line asked: sections without a length or a flow", file=file, hint=hint)
+        raise InputError("does not say what a line asked: sections without a length or a flow", file=file, hint=hint)
     if line.problem != problem.name:
-        raise InputError(f"was asked of {line.problem}", file=file, hint=f"CELL is {problem.name}")
+        raise InputError(f"was written for {line.problem}", file=file, hint=f"CELL is {problem.name}")
     return line
 
 
@@ -254,7 +252,7 @@ def read_asked_line(file: Path, problem: Problem) -> FlowLine:
 def read_table(file: Path, line: FlowLine) -> LineTable:
     """Read a table of a line: from_mm, to_mm, mass_mg, or s_mm, width_mm.
 
-    Raises InputError with line and column for what cannot be of this line.
+    Raises InputError with line and column for values that cannot belong to this line.
     """
     rows = rows_of(file, LARGEST_FILE)
     if not rows:
@@ -307,7 +305,7 @@ def _row(
 def _check_places(
     file: Path, numbers: Sequence[int], line: FlowLine, begin: Array, end: Array, wanted: Sequence[str]
 ) -> None:
-    """Raises InputError for places off the line, that do not go on, or in another unit."""
+    """Raises InputError for positions that are off the line, not increasing, or in another unit."""
     span, length = float(end.max() - begin.min()), line.length
     if span > 1.5 * length or span < 0.02 * length:
         reason = (
@@ -334,7 +332,7 @@ def _check_places(
 
 
 def _check_values(found: LineTable, numbers: Sequence[int], line: FlowLine, column: str) -> None:
-    """Raises InputError for masses or widths below 0, and for widths that no bead of this line can have."""
+    """Raises InputError for masses or widths below 0, outliers, and widths that no bead of this line can have."""
     wrong = np.flatnonzero(found.value < 0.0 if found.weighed else found.value <= 0.0)
     if len(wrong):
         raise InputError("must not be below 0" if found.weighed else "must be above 0", file=found.file,
@@ -345,9 +343,7 @@ def _check_values(found: LineTable, numbers: Sequence[int], line: FlowLine, colu
     usual = float(np.median(each))
     odd = np.flatnonzero(each > ODD * usual)
     if len(odd):
-        reason = (
-            f"is {each[odd[0]] / usual:.3g} times what the line has on the mean" if usual else "is all that there is"
-        )
+        reason = f"is {each[odd[0]] / usual:.3g} times the line's mean" if usual else "is all that there is"
         hint = f"the line asks {float(line.area.max() / np.median(line.area)):.3g} times at most: a decimal point?"
         raise InputError(reason, file=found.file, line=numbers[int(odd[0])], field=column, hint=hint)
     if found.weighed:
@@ -355,7 +351,7 @@ def _check_values(found: LineTable, numbers: Sequence[int], line: FlowLine, colu
     widest = float(width_of(line.area, line.height, line.rounded).max())
     typical = float(np.median(found.value))
     if not widest / (2.0 * FACTOR) < typical < widest * FACTOR:
-        reason = f"widths are {1e3 * typical:g} mm on the mean, and the line asks at most {1e3 * widest:.3g}"
+        reason = f"widths are {1e3 * typical:g} mm on average, but the line asks for at most {1e3 * widest:.3g}"
         raise InputError(reason, file=found.file, line=numbers[0], field=column, hint="widths in mm")
 
 
@@ -364,17 +360,17 @@ def _check_values(found: LineTable, numbers: Sequence[int], line: FlowLine, colu
 
 
 def fit_flow(found: LineTable, line: FlowLine, density: float | None) -> FoundFlow:
-    """Lag and flow of a table by least squares.
+    """Fit lag and flow to a table by least squares.
 
-    density [kg/m³] of the material, without which masses tell no flow
-    Raises InputError where masses are off those of the line by a factor.
+    density [kg/m³] of the material, without which masses do not give the flow
+    Raises InputError if the flow is off the line's by a large factor, or the line's steps do not explain the table.
     """
     middle, size = 0.5 * (found.begin + found.end), np.maximum(found.end - found.begin, 1e-9)
     value = found.value / size if found.weighed else area_of(found.value, line.height, line.rounded)
     unit = float(np.mean(line.area))
 
     def shape(x: Array) -> Array:
-        """Mean cross-sections (n), in that of the line, at a lag and an offset."""
+        """Mean cross-sections (n), relative to the line's mean one, for a lag and an offset."""
         lag, offset = x[0], x[1] * OFF
         if found.weighed:
             return (line.laid(found.end + offset, lag) - line.laid(found.begin + offset, lag)) / size / unit
@@ -384,11 +380,11 @@ def fit_flow(found: LineTable, line: FlowLine, density: float | None) -> FoundFl
     noise = 1.0
 
     def residuals(x: Array) -> Array:
-        # what a ruler's zero is off is known beforehand; noise is not
+        # the ruler's zero has a prior; the noise has none
         return np.append((x[2] * shape(x) - value / (scale * unit)) / noise, x[1])
 
     best = None
-    for _ in range(3):  # the weight of what is known beforehand follows from the noise
+    for _ in range(3):  # the noise determines the weight of the prior
         starts = (best.x[0],) if best is not None else (0.01, 0.05, 0.2, 0.6)
         tries = [
             least_squares(
@@ -403,7 +399,7 @@ def fit_flow(found: LineTable, line: FlowLine, density: float | None) -> FoundFl
         raise ValueError("nothing was fitted")
     jacobian = best.jac.copy()
     if best.x[0] < LITTLE:
-        # so near to none a lag changes nothing yet: what one of some size would change tells how well it is known
+        # a lag this close to zero changes nothing yet: a larger step in it shows how well it is known
         more = best.x + np.array([10.0 * LITTLE, 0.0, 0.0])
         jacobian[:, 0] = (residuals(more) - residuals(best.x)) / (10.0 * LITTLE)
     errors = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
@@ -428,18 +424,18 @@ def fit_flow(found: LineTable, line: FlowLine, density: float | None) -> FoundFl
 
 
 def _check_explained(found: LineTable, left: Array, value: Array) -> None:
-    """Raises InputError where the steps of the line explain hardly anything of a table."""
+    """Raises InputError if the steps of the line explain hardly any of a table's variance."""
     varies = float(((value - value.mean()) ** 2).sum())
     explained = 1.0 - float((left**2).sum()) / varies if varies > 0.0 else 0.0
     if explained < LEAST_EXPLAINED:
-        reason = f"does not follow the steps of the line: they explain {max(explained, 0.0):.0%} of what varies"
-        hint = "measured from the line's beginning, in order; the file of --asked is that of this line"
+        reason = f"does not follow the steps of the line: they explain {max(explained, 0.0):.0%} of its variation"
+        hint = "measure from the line's beginning, in order; --asked must be the file of this line"
         raise InputError(reason, file=found.file, hint=hint)
 
 
 def flow_lines(found: FoundFlow) -> list[str]:
-    """What a table tells, in words."""
-    out = [f"{found.rows} rows, {100.0 * found.residual:.2g} % of a bead are left that nothing explains"]
+    """What a table shows, in words."""
+    out = [f"{found.rows} rows, {100.0 * found.residual:.2g} % of a bead remain that nothing explains"]
     if found.lag_told:
         out.append(f"flow lags the motor by {found.lag:.4f} ±{found.lag_error:.4f} s")
     else:
@@ -447,17 +443,17 @@ def flow_lines(found: FoundFlow) -> list[str]:
     if math.isfinite(found.flow):
         out.append(f"laid is {found.flow:.4f} ±{found.flow_error:.4f} of what was asked")
     else:
-        out.append("flow: not told by masses without --density")
+        out.append("flow: not shown by masses without --density")
     if abs(found.offset) > 0.5 * OFF:
         out.append(f"the table's zero is {1e3 * found.offset:+.1f} mm off the line's beginning")
     return out
 
 
 def process_values(found: FoundFlow, line: FlowLine, problem: Problem) -> dict[str, Value]:
-    """Fields of the problem that are measured: the lag, and the filament as the extruder feeds it.
+    """The measured fields of the problem: the lag, and the filament diameter as the extruder feeds it.
 
-    A motor that lays a share f of what is asked feeds as from a filament of diameter d √f. What E of a slicer's file counts
-    stays what it was.
+    A motor that lays a share f of the requested flow acts as if fed by a filament of diameter d √f. The diameter that E
+    of a slicer's file counts with is unchanged.
     """
     out: dict[str, Value] = {}
     if found.lag_told:
@@ -471,7 +467,7 @@ def process_values(found: FoundFlow, line: FlowLine, problem: Problem) -> dict[s
 
 
 def _counted_by_e(problem: Problem) -> dict[str, Value]:
-    """The filament that E of a slicer's file counts, where that is the process's and nothing else says it."""
+    """The filament diameter that E of a slicer's file counts with, if only the process states it."""
     layers, process = problem.layers, problem.process
     if not isinstance(layers, GcodeLayersSpec) or layers.source.filament_diameter is not None:
         return {}

@@ -26,11 +26,11 @@ from planner.feedback.identify_stops import Braking, brakings, fitted_stops, loo
 class PathFindings:
     """What a recording shows of how a controller follows a program.
 
-    tip           of all of the path;  laid: where material is laid, None without
-    joints        of each joint [rad, m]
+    tip           deviation over the whole path;  laid: where material is laid, None if there is none
+    joints        deviation of each joint [rad, m]
     corners       by zone;  depth: share of a zone's parabola that is cut; lag: time constant that rounds corners [s]
     brakes        how long before a stop it begins to brake, by speed
-    ahead         moves ahead of the one that runs that it knows
+    ahead         look-ahead: the number of moves it knows beyond the current one
     """
 
     tip: PathDeviation
@@ -67,7 +67,7 @@ def findings(path: CommandedPath, followed: FollowedPath) -> PathFindings:
 
 
 def path_lines(found: PathFindings, run: RecordedRun, cell: Cell) -> list[str]:
-    """What a recording shows of how a program was followed."""
+    """What a recording shows of how a program was followed, in words."""
     out = [f"tip off the path: {deviation_words(found.tip, run.lines)}"]
     if found.laid is not None:
         out.append(f"where material is laid: {deviation_words(found.laid, run.lines)}")
@@ -95,7 +95,7 @@ def path_lines(found: PathFindings, run: RecordedRun, cell: Cell) -> list[str]:
 
 
 def joint_lines(joints: Sequence[PathDeviation], cell: Cell) -> list[str]:
-    """How far each joint leaves a path."""
+    """How far each joint leaves a path, in words."""
     return [
         f"  {name}: {_joint_words(each, bool(turns))}"
         for name, each, turns in zip(cell.joint_names, joints, cell.limits.turns, strict=True)
@@ -103,7 +103,7 @@ def joint_lines(joints: Sequence[PathDeviation], cell: Cell) -> list[str]:
 
 
 def deviation_words(each: PathDeviation, lines: Array | None = None) -> str:
-    """How far a tip leaves a path; lines (s): of the file, where its samples stand."""
+    """How far a tip leaves a path, in words; lines (s): the file's lines of the samples."""
     noise = f"noise {1e3 * each.error:.3f} mm"
     if not each.shown:
         return f"not shown, below {1e3 * MOST_SHOWN * each.error:.2f} mm ({noise})"

@@ -1,12 +1,11 @@
-"""Limits of a joint from its recorded moves: profiles of both kinds are fitted to them by least squares, and nothing is
-differentiated.
+"""Limits of a joint from its recorded moves: least-squares fits of both kinds of profile, without differentiation.
 
-All moves of a joint share its limits, and each has an instant of its own. Short moves then say what the jerk is, longer
-ones the acceleration, the longest the speed. Models are tried, from the simplest on, as long as they explain more than
-chance would: braking as acceleration or not, a servo that lags or not (Schwarz, Estimating the dimension of a model,
-1978); each with a limited jerk, and with a mean over a fixed time, of which the better one is told. Where one set of
-limits does not explain all moves, as with an arm whose drives have to do more in one posture than in another, each move
-is fitted by itself, and the least limits are told.
+All moves of a joint share its limits, and each has its own instant. Short moves determine the jerk, longer ones the
+acceleration, the longest the speed. Models are extended, starting from the simplest, as long as they explain more than
+chance would: braking like acceleration or not, a servo with lag or without (Schwarz, Estimating the dimension of a
+model, 1978). This is done both with a limited jerk and with a mean over a fixed time, and the better kind is reported.
+If one set of limits does not explain all moves, as when the drives have to do more in one posture than in another, each
+move is fitted separately, and the least limits are reported.
 """
 
 from __future__ import annotations
@@ -24,35 +23,35 @@ from planner.feedback.identify_profile import MotionLimits, MoveProfile, move_pr
 from planner.feedback.identify_program import AskedMoves
 
 QUANTITIES = ("speed", "acceleration", "jerk")
-FLOOR = 2e-6  # rad, m: what a recording leaves out in rounding, where there is no noise
-KNOWN = 0.05  # standard error of a limit's logarithm up to which it is told: 5 %
-VAGUE = 2.0  # of a limit's logarithm before anything is known: a factor of seven either way
-WIDEST = 20.0  # of a limit's logarithm: beyond is none that a search need try
-VAGUE_MOVE = 0.5  # of one move's, around what all moves have
-DIFFER = 3.0  # times the noise's variance that residuals have, from which moves may differ; and that their limits have
-MOST_APART = 2.5  # times the least, from which moves tell nothing together
-OTHERWISE = 5e-3  # relative, from which braking differs from speeding up
-LEAST_ERROR = 1e-3  # of a limit: no profile is a robot's own to better than that
-UNEVEN = 0.02  # of the step between samples by which steps may differ before they are uneven
-MOST_UNEVEN = 0.02  # s from even samples to their stamps
-STEP = 1e-5  # of a logarithm, for derivatives
+FLOOR = 2e-6  # rad, m: rounding error of a recording without noise
+KNOWN = 0.05  # standard error of a limit's logarithm up to which it is reported: 5 %
+VAGUE = 2.0  # prior standard deviation of a limit's logarithm: a factor of seven either way
+WIDEST = 20.0  # bound on a limit's logarithm: a search need not try values beyond
+VAGUE_MOVE = 0.5  # prior standard deviation for a single move, around the limits of all moves
+DIFFER = 3.0  # × the variance from noise: above, moves may differ (residuals), or do (their limits)
+MOST_APART = 2.5  # × the least limit: moves that differ by more show nothing together
+OTHERWISE = 5e-3  # relative difference from which braking counts as different from speeding up
+LEAST_ERROR = 1e-3  # relative error of a limit: no model profile matches a robot's own more closely
+UNEVEN = 0.02  # × the sample interval: standard deviation from which the steps count as uneven
+MOST_UNEVEN = 0.02  # s: greatest distance of a stamp from its even sample
+STEP = 1e-5  # of a logarithm, for finite differences
 INSTANT = 1e-6  # s, likewise
-CRUISE = 0.05  # share of a move that is at its greatest speed, from which that is a limit
-PLATEAU = 0.15  # of the time in which an acceleration is reached that it is held, likewise
-BELOW = 0.8  # of the acceleration that is reached, with which a search begins anew
-MOST_STEPS = 60  # of a search
-FINE = 1e-7  # share of the squares, or of the parameters, by which a step must change them, else a search is over
-LONGER = (2.0, 4.0)  # times the time of a mean, with which a search begins anew
-COARSE = 1e-5  # likewise, while models are compared: by far less than what one must be better by
-FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
+CRUISE = 0.05  # share of a move at its greatest speed, from which that speed is a limit
+PLATEAU = 0.15  # × the time taken to reach an acceleration: if held for longer, it is a limit
+BELOW = 0.8  # × the acceleration reached: where a search restarts
+MOST_STEPS = 60  # function evaluations of a search
+FINE = 1e-7  # relative change of the squares, or of the parameters, below which a search ends
+LONGER = (2.0, 4.0)  # × the time of a mean: where a search restarts
+COARSE = 1e-5  # as FINE, while models are compared: far less than the margin by which one must be better
+FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # × the file's limits: where the search may start
 FIRST_LAGS = (0.003, 0.02)  # s, likewise
-EXPLAINED = 1.1  # times the noise's variance, up to which residuals are noise
-EVIDENT = 10.0  # by which the criteria of two kinds of profile differ at least where one of them is told
+EXPLAINED = 1.1  # × the noise's variance, up to which residuals are noise
+EVIDENT = 10.0  # least difference of the criteria for one kind of profile to be evident
 
 
 @dataclass(frozen=True)
 class MoveSamples(ReadOnlyArrays):
-    """One recorded move: times (m) [s], way gone (m) [rad, m] towards its end, the whole distance, share of the speed."""
+    """One recorded move: times (m) [s], distance covered (m) [rad, m], the whole distance, and share of the speed."""
 
     time: Array
     way: Array
@@ -64,10 +63,10 @@ class MoveSamples(ReadOnlyArrays):
 class IdentifiedLimit:
     """A limit that a recording shows, or what it shows instead.
 
-    value    [rad, s; m where it slides]: the limit, or the greatest that was reached
-    error    its standard error [same unit]; NaN where the limit was not reached
-    spread   least and greatest among moves that differ; both the value where they agree
-    asked    the limit that the program itself had set, which hides the robot's own if that was reached
+    value    [rad, s; m if it slides]: the limit, or the greatest value that was reached
+    error    its standard error [same unit]; NaN if the limit was not reached
+    spread   least and greatest among moves that differ; both the value if they agree
+    asked    the limit that the program itself had set, which hides the robot's own if it was reached
     """
 
     value: float
@@ -77,24 +76,24 @@ class IdentifiedLimit:
 
     @property
     def told(self) -> bool:
-        """Whether the recording tells the limit."""
+        """Whether the recording shows the limit."""
         return bool(np.isfinite(self.error))
 
     @property
     def as_asked(self) -> bool:
-        """Whether it is no more than the limit that the program had set: the robot may be able to do more."""
+        """Whether it is the limit that the program had set, so that the robot may be capable of more."""
         return self.told and self.asked is not None and self.value > 0.97 * self.asked
 
 
 @dataclass(frozen=True)
 class JointFit:
-    """What a joint's moves say: speed, acceleration, jerk; the servo's lag [s] seen in them; how well they are explained.
+    """What a joint's moves show: speed, acceleration, jerk; the servo's lag [s]; and how well the fit explains them.
 
-    residual   root mean square of what is left [rad, m];  noise: standard deviation at rest [rad, m]
-    braking    acceleration and jerk of braking where they differ from those of speeding up, else None
-    averaged   the time [s] of a mean that smooths the profile, and its standard error, where the moves are such a mean and
-               the jerk is acceleration / time; None where the jerk is limited
-    either     the jerk as the other kind of profile has it, where the moves do not tell the kinds apart; the lesser is told
+    residual   root mean square residual [rad, m];  noise: standard deviation at rest [rad, m]
+    braking    acceleration and jerk of braking if they differ from those of speeding up, else None
+    averaged   time [s] of a mean that smooths the profile, with standard error, the jerk being acceleration / time;
+               None if the jerk is limited
+    either     the jerk of the other kind of profile, if the moves cannot tell the kinds apart; the lesser is reported
     """
 
     joint: int
@@ -117,8 +116,8 @@ class JointFit:
 
 @dataclass(frozen=True)
 class _Model:
-    """Which parameters the moves of a joint share, after the speeds: logarithms of acceleration, jerk, those of braking (a
-    mean has one jerk and so one time for both), and the lag."""
+    """Which parameters the moves of a joint share, after the speeds: logarithms of acceleration and jerk, of those of
+    braking (a mean has a single time, so braking has no jerk of its own), and of the lag."""
 
     averaged: bool
     braking: bool
@@ -134,7 +133,7 @@ class _Model:
         return 2 + self.sided + self.lag
 
     def extends(self, other: _Model) -> bool:
-        """Whether it has one thing more than another."""
+        """Whether it has exactly one feature more than another model."""
         return (
             self.averaged == other.averaged
             and self.braking >= other.braking
@@ -146,7 +145,7 @@ class _Model:
         own = np.exp(np.clip(shared, -WIDEST, WIDEST))
         acceleration, jerk, *rest = own[levels:]
         braking = rest[0] if self.braking else acceleration
-        # a mean takes as long to build up braking as acceleration
+        # a mean builds up braking in the same time as acceleration
         braking_jerk = braking * jerk / acceleration if self.averaged else rest[1] if self.braking else jerk
         return MotionLimits(
             float(own[level]), float(acceleration), float(jerk), float(braking), float(braking_jerk),
@@ -166,22 +165,22 @@ class _Solved:
     shared: Array
     instants: Array
     errors: Array  # standard errors of the shared parameters
-    squares: float  # sum of squared residuals, in the noise's variance
+    squares: float  # sum of squared residuals, in units of the noise's variance
     count: int
 
     @property
     def differ(self) -> bool:
-        """Whether so much is left that moves may have limits of their own."""
+        """Whether the residuals are so large that moves may have separate limits."""
         return self.squares > DIFFER * self.count
 
     @property
     def limits(self) -> MotionLimits:
-        """Those at full speed."""
+        """The limits at full speed."""
         return self.model.limits(self.shared, 0, self.levels)
 
     @property
     def levels(self) -> int:
-        """How many speeds there are."""
+        """Number of speeds."""
         return len(self.shared) - self.model.size
 
     @property
@@ -193,7 +192,7 @@ class _Solved:
 
     @property
     def criterion(self) -> float:
-        """Schwarz's: the less the better."""
+        """Schwarz's criterion: lower is better."""
         return float(self.count * np.log((self.squares + 0.01 * self.count) / self.count)) + len(self.shared) * float(
             np.log(self.count)
         )
@@ -202,10 +201,10 @@ class _Solved:
 def fit_joints(
     log: MatchedLog, asked: AskedMoves, first_guess: tuple[Array, Array, Array]
 ) -> tuple[MatchedLog, list[JointFit]]:
-    """The limits of all joints that moved, and the recording with the clock that explains them.
+    """The limits of all joints that moved, and the recording with the clock that explains them best.
 
-    first_guess: speeds, accelerations, jerks (n each) of their files [rad, m]. Where stamps are uneven, samples may have
-    been taken evenly all the same, and stamped late: what leaves less unexplained is taken.
+    first_guess: speeds, accelerations, jerks (n each) of the robots' files [rad, m]. If stamps are uneven, the samples
+    may still have been taken evenly and stamped late: the clock with the smaller residuals is used.
     """
     joints = sorted({move.joint for move in asked.moves})
     found = []
@@ -218,7 +217,7 @@ def fit_joints(
 
 
 def evened(log: MatchedLog) -> list[MatchedLog]:
-    """The recording with even steps of time, where its stamps are uneven and could be those of even samples; or nothing."""
+    """The recording with even time steps, if its stamps are uneven but could be those of even samples; else nothing."""
     steps = np.diff(log.time)
     step = float(np.median(steps))
     if steps.std() < UNEVEN * step:
@@ -236,8 +235,8 @@ def evened(log: MatchedLog) -> list[MatchedLog]:
 def fit_joint(log: MatchedLog, asked: AskedMoves, joint: int, first_guess: tuple[float, float, float]) -> JointFit:
     """The limits of one joint; first_guess: speed, acceleration, jerk of its file [rad, m].
 
-    Where the controller made the profile, and its commands are in the recording, these are fitted; otherwise what was
-    executed, with the servo's lag.
+    If the controller generated the profile and its commands were recorded, the commands are fitted; otherwise the
+    executed positions, with the servo's lag.
     """
     own_profile = asked.asked[2] is None
     commanded = log.commanded is not None and own_profile
@@ -248,19 +247,19 @@ def fit_joint(log: MatchedLog, asked: AskedMoves, joint: int, first_guess: tuple
     solved, other = sorted(kinds, key=lambda each: each.criterion)
     evident, own = other.criterion - solved.criterion > EVIDENT, None
     if solved.differ:
-        # what limits that differ leave says nothing about the kind: what they leave move by move does
+        # if limits differ, the shared residuals say nothing about the kind; those of separately fitted moves do
         found = {each: _by_move(each, moves, noise) for each in kinds}
         solved, evident = min(kinds, key=lambda each: found[each].left), True
         own = found[solved]
     elif not evident:
-        # noise decides which is better: the lesser jerk is safe
+        # only noise decides which is better, so take the lesser jerk to be safe
         solved, other = sorted(kinds, key=lambda each: each.limits.jerk)
     fit = _told(solved, own, moves, noise, float(log.noise[joint]), joint, asked)
     return fit if evident else replace(fit, either=other.limits.jerk)
 
 
 def samples_of(log: MatchedLog, asked: AskedMoves, joint: int, commanded: bool) -> list[MoveSamples]:
-    """The samples of a joint's moves, each from the end of the rest before to the quiet part of the one behind."""
+    """The samples of a joint's moves, each from the quiet part of the rest before it to that of the rest after it."""
     out = []
     q = log.commanded if commanded and log.commanded is not None else log.executed
     for k, move in enumerate(asked.moves):
@@ -283,7 +282,7 @@ def samples_of(log: MatchedLog, asked: AskedMoves, joint: int, commanded: bool) 
 def _solve_all(
     moves: Sequence[MoveSamples], noise: float, first_guess: tuple[float, float, float], lags: bool
 ) -> tuple[_Solved, ...]:
-    """The best models: of limited jerk, and of a mean."""
+    """The best model of limited jerk, and the best one of a mean."""
     shares = sorted({move.share for move in moves}, reverse=True)
     speeds = np.log([_quickest(moves, share) for share in shares])
     instants = np.array([_half_way(move) for move in moves])
@@ -292,19 +291,19 @@ def _solve_all(
     levels = len(shares)
     tops = [_profile(PLAIN, plain.shared, levels, m, k) for m, k in zip(moves, _levels(moves), strict=True)]
     if not any(_reached(profile)[1] for profile in tops):
-        # an acceleration that no move reaches changes nothing, so the search cannot leave it: begin below what is reached
+        # an acceleration that no move reaches has no gradient, which traps the search: restart below what is reached
         again = plain.shared.copy()
         again[levels] = np.log(BELOW * max(profile.top_acceleration for profile in tops))
         plain = min(plain, _solve(PLAIN, moves, noise, again, plain.instants, COARSE), key=lambda each: each.criterion)
     mean = _solve(PLAIN_MEAN, moves, noise, plain.shared, plain.instants, COARSE)
     if mean.squares > EXPLAINED * mean.count:
-        # a time that is too short changes nothing any more: begin with longer ones as well
+        # too short a time has no effect, and no gradient: start with longer ones as well
         longer = [plain.shared - np.log(factor) * (np.arange(len(plain.shared)) == levels + 1) for factor in LONGER]
         tries = (_solve(PLAIN_MEAN, moves, noise, begin, plain.instants, COARSE) for begin in longer)
         mean = min(mean, *tries, key=lambda each: each.criterion)
     kinds = []
     for own, other in ((plain, mean), (mean, plain)):
-        # where the other kind leaves nothing but noise as it is, only a lag could make this one as good
+        # if the other kind already leaves nothing but noise, only a lag could make this one as good
         explained = other.squares < EXPLAINED * other.count and other.criterion < own.criterion
         among = [model for model in MODELS if (lags or not model.lag) and not (explained and model.braking)]
         kinds.append(_extended(own, moves, noise, among))
@@ -312,7 +311,7 @@ def _solve_all(
 
 
 def _extended(best: _Solved, moves: Sequence[MoveSamples], noise: float, among: Sequence[_Model]) -> _Solved:
-    """The best of the models that have more than a plain one."""
+    """The best model, extended step by step for as long as the criterion improves."""
     tried = [best.model]
     while True:
         more = [model for model in among if model not in tried and model.extends(best.model)]
@@ -327,7 +326,7 @@ def _extended(best: _Solved, moves: Sequence[MoveSamples], noise: float, among: 
 
 
 def _from(before: _Solved, model: _Model, moves: Sequence[MoveSamples], noise: float) -> _Solved:
-    """A model's solution, begun from that of one which it extends."""
+    """A model's solution, starting from that of the model it extends."""
     levels = before.levels
     speeds, (acceleration, jerk, *rest) = before.shared[:levels], before.shared[levels:]
     braking = rest[: before.model.sided] or [acceleration, jerk][: model.sided]
@@ -335,7 +334,7 @@ def _from(before: _Solved, model: _Model, moves: Sequence[MoveSamples], noise: f
     for lag in FIRST_LAGS if model.lag and not before.model.lag else (None,):
         own = [acceleration, jerk, *braking]
         if lag is not None:
-            # a lag that was not modelled has been taken for a lesser jerk
+            # so far the unmodelled lag has appeared as a lesser jerk
             own[1::2] = [value + np.log(2.0) for value in own[1::2]]
         last = [] if not model.lag else [rest[-1] if lag is None else np.log(lag)]
         found.append(_solve(model, moves, noise, np.array([*speeds, *own, *last]), before.instants, COARSE))
@@ -343,7 +342,7 @@ def _from(before: _Solved, model: _Model, moves: Sequence[MoveSamples], noise: f
 
 
 def _quickest(moves: Sequence[MoveSamples], share: float) -> float:
-    """The greatest mean speed over some 20 ms among moves at a share of the speed."""
+    """The greatest mean speed over about 20 ms among moves at a share of the speed."""
     found = []
     for move in moves:
         if move.share == share:
@@ -353,7 +352,7 @@ def _quickest(moves: Sequence[MoveSamples], share: float) -> float:
 
 
 def _half_way(move: MoveSamples) -> float:
-    """When half of the distance was gone [s]."""
+    """When half of the distance was covered [s]."""
     beyond = int(np.argmax(move.way > 0.5 * move.distance))
     if beyond == 0:
         return float(move.time.mean())
@@ -365,7 +364,7 @@ def _half_way(move: MoveSamples) -> float:
 def _start(
     moves: Sequence[MoveSamples], noise: float, speeds: Array, instants: Array, first_guess: tuple[float, float, float]
 ) -> Array:
-    """The shared parameters at which the search begins: the best of a coarse grid of accelerations and jerks."""
+    """The shared parameters at which the search starts: the best of a coarse grid of accelerations and jerks."""
     best, start = np.inf, np.append(speeds, np.log(first_guess[1:]))
     for acceleration in first_guess[1] * FACTORS:
         for jerk in first_guess[2] * FACTORS:
@@ -380,7 +379,7 @@ def _start(
 
 
 def _levels(moves: Sequence[MoveSamples]) -> list[int]:
-    """Of each move which of the shares, from the greatest, it has."""
+    """The index of each move's share of speed, from the greatest share."""
     shares = sorted({move.share for move in moves}, reverse=True)
     return [shares.index(move.share) for move in moves]
 
@@ -390,7 +389,7 @@ def _profile(model: _Model, shared: Array, levels: int, move: MoveSamples, level
 
 
 def _off(model: _Model, shared: Array, levels: int, move: MoveSamples, level: int, at: float) -> Array:
-    """Modelled minus recorded way (m); `at` is the middle of the move in time, as the servo lags [s]."""
+    """Modelled minus recorded positions (m); `at` is the mid-time of the move, including the servo's lag [s]."""
     profile = _profile(model, shared, levels, move, level)
     return profile.at(move.time - (at - 0.5 * profile.total - profile.lag)) - move.way
 
@@ -409,7 +408,7 @@ def _solve(
         ]
         return np.concatenate([*parts, (x[:n] - start) / VAGUE])
 
-    # a move's samples depend on its own speed, on what all moves share, and on its own instant
+    # a move's samples depend on its own speed, the parameters that all moves share, and its own instant
     columns = [[own, *range(levels, n), n + k] for k, own in enumerate(level)]
     width = n - levels + 2
     indices = np.append(np.repeat(columns, np.diff(begins), axis=0), np.arange(n))
@@ -437,7 +436,7 @@ def _solve(
 
 
 def _repeated(residuals: Array) -> float:
-    """How many samples say what one says alone: residuals that follow each other are not noise, but what a profile misses."""
+    """How many samples are worth one independent one: correlated residuals are not noise, but errors of the profile."""
     squares = float(residuals @ residuals)
     alike = float(residuals[1:] @ residuals[:-1]) / squares if squares > 0.0 else 0.0
     alike = float(np.clip(alike, 0.0, 0.999))
@@ -445,7 +444,7 @@ def _repeated(residuals: Array) -> float:
 
 
 def _errors(squares: Array, scale: float) -> Array:
-    """Standard errors of parameters (k) from J^T J (k, k), where J has the derivatives of residuals that have a variance."""
+    """Standard errors of parameters (k) from J^T J (k, k); scale: the variance of J's residuals."""
     norms = np.maximum(np.sqrt(squares.diagonal()), 1e-300)
     sizes, directions = np.linalg.eigh(squares / np.outer(norms, norms))
     out: Array = np.sqrt(scale) * np.linalg.norm(directions / np.sqrt(np.maximum(sizes, 1e-24)), axis=1) / norms
@@ -453,7 +452,7 @@ def _errors(squares: Array, scale: float) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What is told of it.
+# What is reported.
 
 
 def _told(
@@ -483,7 +482,7 @@ def _told(
     rate_errors, jerk_errors = solved.side_errors
     acceleration = _limit(rates, rate_errors, np.asarray(ends[:, 1 : 1 + sides].any(axis=0)), tops, set_by_program[1])
     jerks = np.array([limits.jerk, limits.braking_jerk])[:sides]
-    # a jerk that is not told is greater than that with 95 % confidence
+    # a jerk that is not shown exceeds this with 95 % confidence
     least = float((jerks * np.exp(-2.0 * jerk_errors)).min())
     jerk = _limit(jerks, jerk_errors, np.ones(sides, dtype=np.bool_), least, set_by_program[2])
     residual = noise * float(np.sqrt(solved.squares / solved.count))
@@ -507,24 +506,24 @@ def _told(
 
 
 def _otherwise(limits: MotionLimits) -> tuple[float, float] | None:
-    """Acceleration and jerk of braking, where they are others than those of speeding up by more than a profile tells."""
+    """Acceleration and jerk of braking, if they differ from those of speeding up by more than the model can resolve."""
     ratios = np.array([limits.braking / limits.acceleration, limits.braking_jerk / limits.jerk])
     return (limits.braking, limits.braking_jerk) if (np.abs(np.log(ratios)) > OTHERWISE).any() else None
 
 
 def _reached(profile: MoveProfile) -> tuple[bool, bool, bool]:
-    """Whether a move comes to its greatest speed, acceleration, and braking, and stays there for a while.
+    """Whether a move reaches, and holds for a while, its greatest speed, acceleration, and braking.
 
-    At the edge noise decides: a limit just below what is reached without it explains a recording as well.
+    At the threshold noise decides: a limit just below what is reached without it explains a recording as well.
     """
     return profile.cruise > CRUISE * profile.total, profile.held[0] > PLATEAU, profile.held[1] > PLATEAU
 
 
 def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: float | None) -> IdentifiedLimit:
-    """The lesser of the limits (1 or 2, of speeding up and braking) that are known; or what was reached.
+    """The lesser of the known limits (1 or 2, of speeding up and braking), or else what was reached.
 
-    None is told where one that is not known well enough is less all the same, with 95 % confidence: what is told must not be
-    more than the robot has.
+    None is reported if another that is not known well enough is nevertheless lower with 95 % confidence: a reported
+    limit must not exceed the robot's.
     """
     known = reached & (errors < KNOWN)
     if not known.any():
@@ -540,8 +539,8 @@ def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: floa
 
 @dataclass(frozen=True)
 class _MovesAlone:
-    """Moves that were fitted one by one: of speed, acceleration and jerk those that are known, with the standard errors of
-    their logarithms; the lag of all [s], and what is left of them, in the noise's variance."""
+    """Moves that were fitted one by one: the known speeds, accelerations and jerks, with the standard errors of their
+    logarithms; the lag of all [s], and the sum of the moves' residual variances, in units of the noise's variance."""
 
     limits: tuple[list[tuple[float, float]], ...]
     lag: float
@@ -549,10 +548,10 @@ class _MovesAlone:
 
 
 def _by_move(solved: _Solved, moves: Sequence[MoveSamples], noise: float) -> _MovesAlone:
-    """Moves by themselves, where one set of limits does not explain all of them."""
+    """Fit moves separately, where one set of limits does not explain all of them."""
     levels, averaged = solved.levels, solved.model.averaged
     starts = [np.append(solved.shared[own], solved.shared[levels : levels + 2]) for own in _levels(moves)]
-    # the lag that was found for all moves may only have hidden that they differ
+    # the common lag may have been an artefact of differing moves, so try without it too
     alone = {
         lag: [
             _solve_one(move, noise, start, float(at), (lag, averaged))
@@ -574,8 +573,8 @@ def _by_move(solved: _Solved, moves: Sequence[MoveSamples], noise: float) -> _Mo
 
 
 def _least(found: Sequence[tuple[float, float]], shared: IdentifiedLimit) -> IdentifiedLimit:
-    """The least of some moves' limits, given with the standard errors of their logarithms; their mean where they agree;
-    what was reached where fewer than two are known, or they are too far apart to be those of one robot."""
+    """The least of some moves' limits, given with the standard errors of their logarithms, or their mean if they agree.
+    Not shown (no error): what was reached if fewer than two are known, or the least if they are too far apart."""
     if len(found) < 2:
         return IdentifiedLimit(shared.value, float("nan"), shared.spread, shared.asked)
     values, errors = np.array(found).T
@@ -594,8 +593,8 @@ def _least(found: Sequence[tuple[float, float]], shared: IdentifiedLimit) -> Ide
 def _solve_one(
     move: MoveSamples, noise: float, start: Array, at: float, kind: tuple[float, bool]
 ) -> tuple[MotionLimits, Array, float]:
-    """Limits of one move by itself, near those (3) of all moves, the standard errors (3) of their logarithms, and the
-    variance of what is left, in that of the noise. kind: lag [s], and whether it is a mean."""
+    """Limits of a single move, near those (3) of all moves, the standard errors (3) of their logarithms, and the
+    variance of the residuals, in units of the noise's. kind: lag [s], and whether it is a mean."""
     lag = kind[0]
 
     def limits(x: Array) -> MotionLimits:

@@ -1,4 +1,4 @@
-"""A recording held against what a test program asked: which rest is which, and why it is none of them where it is none."""
+"""Matches a recording to a test program: which rest is which, and why it does not match if it does not."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from planner.feedback.identify_program import AskedMoves
 from planner.feedback.readings import LogReading, check_clock, readings
 from planner.feedback.recordings import DEGREE, RobotLog
 
-SPAN = 0.04  # s before and behind an instant, over which places are averaged to see whether they move
-LEAST_REST = 0.15  # s that joints stand, to be a rest between moves
-QUIET = (0.4, 0.7)  # of a rest, between which it is quiet
-STILL = (np.radians(0.02), 5e-5)  # by which averages differ at most where a joint stands [rad, m]
-SIGMAS = 6.0  # of noise that are no motion
-SAME = (np.radians(0.1), 0.4e-3)  # from where it was asked to rest; servos leave less [rad, m]
-STRAY = (np.radians(0.3), 1e-3)  # by which joints may move that were not asked to [rad, m]
+SPAN = 0.04  # s before and after an instant, over which positions are averaged to detect motion
+LEAST_REST = 0.15  # s: least duration of a rest between moves
+QUIET = (0.4, 0.7)  # fractions of a rest between which it is quiet
+STILL = (np.radians(0.02), 5e-5)  # rad, m: greatest difference of averages while a joint stands
+SIGMAS = 6.0  # standard deviations of noise that do not count as motion
+SAME = (np.radians(0.1), 0.4e-3)  # rad, m: tolerance of a rest's posture; servo errors are smaller
+STRAY = (np.radians(0.3), 1e-3)  # rad, m: tolerated motion of joints that should stand
 SLOWEST = 0.0125  # s between samples: a short move takes some 80 ms
-COMMANDED_OFF = (np.radians(1.0), 3e-3)  # from where joints were told to rest to where they do [rad, m]
-COMMANDED_STILL = (np.radians(0.1), 3e-4)  # by which commands change at most while joints rest [rad, m]
+COMMANDED_OFF = (np.radians(1.0), 3e-3)  # rad, m: greatest distance between commanded and executed rest
+COMMANDED_STILL = (np.radians(0.1), 3e-4)  # rad, m: greatest change of commands while joints rest
 
 
 @dataclass(frozen=True)
 class MatchedLog(ReadOnlyArrays):
-    """A recording (m samples) of the moves (k) that were asked of a cell's joints (n).
+    """A recording (m samples) of the moves (k) of a test program for a cell's joints (n).
 
     time (m) [s];  executed (m, n), commanded (m, n) or None [rad, m]
     rests (k + 1, 2)   first and last sample of the quiet middle of each rest
-    postures (k + 1, n)   where the joints rested [rad, m];  noise (n): standard deviation of one sample there [rad, m]
-    remarks            what was found out about the file, in words
+    postures (k + 1, n)   of the joints at rest [rad, m];  noise (n): standard deviation of one sample there [rad, m]
+    remarks            notes on how the file was read
     """
 
     time: Array
@@ -56,9 +56,9 @@ class RecordedRests:
 
 
 def match(log: RobotLog, asked: AskedMoves) -> MatchedLog:
-    """Find the asked moves in a recording.
+    """Find a test program's moves in a recording.
 
-    Raises InputError with what was found: too few samples, gaps, another unit or order of joints, another program.
+    Raises InputError that names the cause: too few samples, gaps, another unit or order of joints, another program.
     """
     if log.step > SLOWEST:
         hint = f"at least one every {1e3 * SLOWEST:g} ms"
@@ -73,16 +73,16 @@ def match(log: RobotLog, asked: AskedMoves) -> MatchedLog:
 
 
 def find_rests(time: Array, q: Array, asked: AskedMoves) -> RecordedRests:
-    """Stretches of a recording in which all joints q (m, n) [rad, m] stand, those with one posture joined."""
+    """Stretches of a recording in which all joints q (m, n) [rad, m] stand; neighbours at one posture are joined."""
     step = float(np.median(np.diff(time)))
     count = min(max(round(SPAN / step), 3), len(q) // 4)
     sums = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(q - q[0], axis=0)])
     means = (sums[count:] - sums[:-count]) / count
-    change = np.abs(means[count:] - means[:-count])  # behind and before sample i + count
+    change = np.abs(means[count:] - means[:-count])  # after minus before sample i + count
     still = np.maximum(SIGMAS * noise_of(q) * np.sqrt(2.0 / count), _tolerances(asked, STILL))
     quiet = np.zeros(len(q), dtype=np.bool_)
     quiet[count : count + len(change)] = (change < still).all(axis=1)
-    # at the ends of a file there is nothing before, or behind: as beside them
+    # the ends of a file have no samples before, or after: copy the nearest result
     quiet[:count], quiet[count + len(change) :] = quiet[count], quiet[count + len(change) - 1]
     ends = true_runs(quiet).astype(np.int64)
     ends[:, 1] -= 1
@@ -92,7 +92,7 @@ def find_rests(time: Array, q: Array, asked: AskedMoves) -> RecordedRests:
 
 
 def _joined(ends: Ints, postures: Array, same: Array) -> RecordedRests:
-    """Rests that follow each other at one posture are one: something shook the robot there."""
+    """Join consecutive rests at one posture: something shook the robot there."""
     if not len(ends):
         return RecordedRests(ends, postures)
     begins = np.append(True, (np.abs(np.diff(postures, axis=0)) > same).any(axis=1))
@@ -102,18 +102,18 @@ def _joined(ends: Ints, postures: Array, same: Array) -> RecordedRests:
 
 
 def _middle(first: int, last: int) -> slice:
-    """The quiet part of a rest: what settles at its beginning is left out, and commands that come before the motion."""
+    """The quiet part of a rest, without settling at its start, and commands that precede the next motion at its end."""
     length = int(last) - int(first)
     return slice(int(first) + int(QUIET[0] * length), int(first) + int(QUIET[1] * length) + 1)
 
 
 def _tolerances(asked: AskedMoves, pair: tuple[float, float]) -> Array:
-    """A tolerance (n) of joints that turn, and of those that slide."""
+    """The tolerance (n) of each joint, from a pair for revolute and prismatic ones."""
     return np.where(np.isin(np.arange(len(asked.start)), asked.sliding), pair[1], pair[0])
 
 
 def _aligned(rests: RecordedRests, asked: AskedMoves) -> int | None:
-    """The rest with which the asked moves begin; None where they are not all there, one after another."""
+    """The rest with which the requested moves begin; None unless they are all there, one after another."""
     wanted, same = asked.postures, _tolerances(asked, SAME)
     spare = len(rests) - len(wanted)
     fits = (k for k in range(spare + 1) if (np.abs(rests.postures[k : k + len(wanted)] - wanted) < same).all())
@@ -149,7 +149,7 @@ def _matched(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, re
 
 
 def _check_alone(log: RobotLog, asked: AskedMoves, q: Array, middles: list[slice], stray: Array) -> None:
-    """Raises InputError where another joint moves than the one that was asked to."""
+    """Raises InputError if a joint moves other than the requested one."""
     for move, before, after in zip(asked.moves, middles, middles[1:], strict=False):
         part = q[before.start : after.stop]
         away = np.abs(part - part[0])
@@ -164,7 +164,7 @@ def _check_alone(log: RobotLog, asked: AskedMoves, q: Array, middles: list[slice
 
 
 def _commanded(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, middles: list[slice]) -> Array | None:
-    """The commanded joints (m, n) [rad, m], read as the executed ones. InputError where they rest elsewhere."""
+    """The commanded joints (m, n) [rad, m], read like the executed ones. InputError if they rest elsewhere."""
     if log.commanded is None or log.commanded_unit is None:
         return None
     unsaid = np.isnan(log.commanded_unit)
@@ -181,25 +181,25 @@ def _commanded(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, 
     moving = np.array([np.ptp(told[each], axis=0) for each in middles]) > _tolerances(asked, COMMANDED_STILL)
     if moving.any():
         k = int(np.argmax(moving.any(axis=1)))
-        reason = "commands begin to move more than some 0.15 s before the joints do, or their clock is another"
+        reason = "commands begin to move more than about 0.15 s before the joints do, or have another clock"
         raise InputError(reason, file=log.file, line=int(log.lines[middles[k].start]))
     return np.asarray(told)
 
 
 # ----------------------------------------------------------------------------------------------------
-# Why a recording is not of the program, in words.
+# Why a recording does not match the program, in words.
 
 _MOST_NAMED = 3  # joints in one sentence
 
 
 def _misfit(log: RobotLog, asked: AskedMoves, q: Array, rests: RecordedRests) -> InputError:
-    """What is wrong with a recording in which the asked moves are not found."""
-    hint = "name the columns as they are"
+    """What is wrong with a recording in which the requested moves were not found."""
+    hint = "correct the names of the columns"
     for scale, unit, said in ((1.0 / DEGREE, "radians", "degrees"), (DEGREE, "degrees", "radians")):
-        # places are too near each other, or too far, to be told from noise in another unit: looked at anew
+        # in another unit, the thresholds against noise do not fit: find the rests again
         factors = np.where(np.isin(np.arange(q.shape[1]), asked.sliding), 1.0, scale)
         if _aligned(find_rests(log.time, factors * q, asked), asked) is not None:
-            return InputError(f"joints are in {unit}, where its header says {said}", file=log.file, hint=hint)
+            return InputError(f"joints are in {unit}, but its header says {said}", file=log.file, hint=hint)
     if not len(rests):
         return InputError("the joints never rest in it", file=log.file, hint="record the whole test program")
     count = len(asked.moves) + 1
@@ -211,7 +211,7 @@ def _misfit(log: RobotLog, asked: AskedMoves, q: Array, rests: RecordedRests) ->
 
 
 def _other_order(asked: AskedMoves, found: Array) -> str | None:
-    """Columns that move as other joints were asked to."""
+    """Columns that move as other joints should."""
     same = _tolerances(asked, SAME)
     apart = np.abs(found[:, :, None] - asked.postures[:, None, :]).max(axis=0)  # column, joint
     fits = apart < same
@@ -224,7 +224,7 @@ def _other_order(asked: AskedMoves, found: Array) -> str | None:
 
 
 def _other_zero(asked: AskedMoves, found: Array) -> str | None:
-    """Joints that move as asked, from another zero or the other way round."""
+    """Joints that move as requested, but from another zero or in the opposite direction."""
     wanted, same = asked.postures - asked.start, 2.0 * _tolerances(asked, SAME)
     moved = found - found[0]
     right, turned = ((np.abs(side * moved - wanted) < same).all(axis=0) for side in (1.0, -1.0))
@@ -238,11 +238,11 @@ def _other_zero(asked: AskedMoves, found: Array) -> str | None:
         for j in np.flatnonzero(right & (np.abs(off) > 0.5 * same))
     ]
     more = " …" if len(words) > _MOST_NAMED else ""
-    return f"joints are counted otherwise: {', '.join(words[:_MOST_NAMED])}{more}"
+    return f"joints are counted differently: {', '.join(words[:_MOST_NAMED])}{more}"
 
 
 def _another_program(log: RobotLog, asked: AskedMoves, rests: RecordedRests) -> InputError:
-    """How far the recording is that of the program, and where it leaves it."""
+    """How far the recording matches the program, and where it departs from it."""
     wanted, same = asked.postures, _tolerances(asked, SAME)
     held = np.zeros(len(rests), dtype=np.int64)
     for k in range(len(rests)):
@@ -251,7 +251,7 @@ def _another_program(log: RobotLog, asked: AskedMoves, rests: RecordedRests) -> 
         held[k] = len(part) if fits.all() else int(np.argmin(fits))
     best = int(np.argmax(held))
     count = int(held[best])
-    hint = "record the program that was written with the file of --asked, from its first posture to its last"
+    hint = "record the program that was written together with the --asked file, from its first posture to its last"
     if count == 0:
         off = np.abs(rests.postures - asked.start)
         nearest = int(np.argmin((off / same).max(axis=1)))

@@ -1,7 +1,7 @@
-"""A recorded motion set beside the path of its program: how far it leaves that.
+"""A recorded motion compared with the path of its program: how far it deviates.
 
-The path is compared, not the time: each recorded posture is set beside the place of the commanded path that it has come
-to, in order, in joints and at the tip. So delays and slower controllers do not count as deviation.
+The path is compared, not the time: each recorded posture is matched, in order, to the point of the commanded path that
+it has reached, in joints and at the tip. So delays and slower controllers do not count as deviation.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from planner.cell.cell import Cell
 from planner.feedback.filters import noise_left, noise_of, slope_of, smoothed, window_of
 from planner.feedback.tracking import beside, track, tracked_path
 
-LEVER = 0.1  # m: a joint that turns counts as much as the tip at this distance, where places are compared
-AROUND = 2e-3  # m of path around a place, and a sample's way more, within which the tip's distance is taken
-MOST_LATE = 0.3  # s by which joints may follow their commands
-DEVIATION_SPAN = 0.036  # s over which deviations are smoothed, by parabolas
-SPEED_SPAN = 0.06  # s, likewise of speeds
-MEAN_SHOWN, MOST_SHOWN = 0.8, 7.0  # times the noise: noise alone leaves less, of a robot at rest too
-SHOWN = 0.25  # standard error over value up to which a parameter is told
+LEVER = 0.1  # m: when postures are compared, a revolute joint counts like the tip at this distance
+AROUND = 2e-3  # m of path around a point, plus the last step's length, within which the tip's distance is taken
+MOST_LATE = 0.3  # s: longest delay between commands and joints
+DEVIATION_SPAN = 0.036  # s over which deviations are smoothed by parabolas
+SPEED_SPAN = 0.06  # s, likewise for speeds
+MEAN_SHOWN, MOST_SHOWN = 0.8, 7.0  # × the noise: noise alone gives less, even for a robot at rest
+SHOWN = 0.25  # standard error over value up to which a parameter is reported
 
 
 @dataclass(frozen=True)
 class CommandedPath(ReadOnlyArrays):
-    """Postures (k) of a program, straight from one to the next.
+    """Postures (k) of a program, linearly interpolated.
 
     q (k, n) joints [rad, m];  tip (k, 3) of the nozzle in the part frame [m]
-    target (m)    the posture that is the target of each move
+    target (m)    the index of each move's target posture
     zone (m)      radius of its corner zone [m], NaN where it has none;  fine (m): the robot rests there
     line (m)      the move is a line;  laid (m): material is laid on it
     speed (m)     of the tip [m/s], NaN where none is programmed
@@ -47,19 +47,19 @@ class CommandedPath(ReadOnlyArrays):
 
     @property
     def way(self) -> Array:
-        """Metres of the tip's path (k) up to each posture."""
+        """Arc length (k) of the tip's path up to each posture [m]."""
         return arc_lengths(self.tip)
 
 
 @dataclass(frozen=True)
 class FollowedPath(ReadOnlyArrays):
-    """Recorded samples (s) set beside the commanded path.
+    """Recorded samples (s) matched to the commanded path.
 
-    time (s) [s];  segment, share (s): between which postures, and where between them
-    tip (s, 3)     where it was in the part frame, smoothed [m]
-    off (s, 3)     tip from the nearest place of the path [m], smoothed; joints (s, n): likewise [rad, m]
+    time (s) [s];  segment, share (s): the segment of the path, and the fraction of it
+    tip (s, 3)     of the nozzle in the part frame, smoothed [m]
+    off (s, 3)     tip relative to the nearest point of the path, smoothed [m]; joints (s, n): likewise [rad, m]
     noise          standard deviation of `off` along one axis [m]; joint_noise (n): of `joints`
-    way (s)        metres of the tip's path behind it;  speed (s) along it, speed_noise: its standard deviation [m/s]
+    way (s)        arc length of the path covered [m];  speed (s) along it, speed_noise: its standard deviation [m/s]
     """
 
     time: Array
@@ -77,7 +77,7 @@ class FollowedPath(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class PathDeviation:
-    """Mean and greatest distance, and the standard error of a single one that noise leaves; at: the sample of the greatest."""
+    """Mean and greatest distance, and the standard error of a single one from noise; at: the sample of the greatest."""
 
     mean: float
     most: float
@@ -92,7 +92,7 @@ class PathDeviation:
 
 @dataclass(frozen=True)
 class ShownValue:
-    """A value with its standard error; told: the recording shows it, otherwise `value` is what it is at least, or nothing."""
+    """A value with its standard error; told: the recording shows it, otherwise `value` is a lower bound, or NaN."""
 
     value: float
     error: float
@@ -101,12 +101,12 @@ class ShownValue:
 
 
 def follow(path: CommandedPath, time: Array, q: Array, cell: Cell) -> FollowedPath:
-    """Set samples (s) of joints q (s, n) [rad, m], from the path's beginning to its end, beside the path."""
+    """Match samples (s) of joints q (s, n) [rad, m], from the start of the path to its end, to the path."""
     tip = cell.T_part_nozzle(np.ascontiguousarray(q))[:, :3, 3]
     lever = np.where(cell.limits.turns, LEVER, 1.0)
     step = float(np.median(np.diff(time)))
     window, fast = window_of(DEVIATION_SPAN, step), window_of(SPEED_SPAN, step)
-    # where lines turn back on each other noise would take the motion for the one that follows
+    # where lines turn back on each other, noise could move a sample to the line that follows
     samples = smoothed(np.hstack([tip, lever * q]), window)
     gone = np.append(0.0, np.linalg.norm(np.diff(samples, axis=0), axis=1))
     place, _ = track(tracked_path(np.hstack([path.tip, lever * path.q])), samples, gone)
@@ -115,7 +115,7 @@ def follow(path: CommandedPath, time: Array, q: Array, cell: Cell) -> FollowedPa
     told = path.q[segment] + share[:, None] * (path.q[segment + 1] - path.q[segment])
     between = np.diff(path.tip, axis=0)[segment]
     size = np.linalg.norm(between, axis=1)
-    # at its ends a segment has no places that lie farther on, so that noise would count to one side alone
+    # measured beyond the segment's ends, where clipping would count noise to one side only
     aside = tip - path.tip[segment] - share[:, None] * between
     along = (aside * between).sum(axis=1) / np.maximum(size, 1e-12)
     way = path.way[segment] + share * size + along
@@ -138,9 +138,9 @@ def follow(path: CommandedPath, time: Array, q: Array, cell: Cell) -> FollowedPa
 def off_commands(
     time: Array, executed: Array, commanded: Array, cell: Cell
 ) -> tuple[PathDeviation, tuple[PathDeviation, ...]]:
-    """How far the tip, and each joint, of samples (s, n) leave the path of commands (s, n) of the same clock [rad, m].
+    """How far tip and joints of samples (s, n) leave the path of commands (s, n) on the same clock [rad, m].
 
-    Of a command's path the part is looked at that joints may have come to: until MOST_LATE before.
+    Each sample is compared with the commands that the joints may have reached: those of the last MOST_LATE.
     """
     tips = [cell.T_part_nozzle(np.ascontiguousarray(q))[:, :3, 3] for q in (executed, commanded)]
     lever = np.where(cell.limits.turns, LEVER, 1.0)
@@ -175,7 +175,7 @@ def off_commands(
 
 
 def deviation_of(size: Array, noise: float, axes: int, of: Flags | None = None) -> PathDeviation:
-    """Of distances (s), or those of some samples, with noise along so many axes; the mean is without what noise adds to it."""
+    """Deviation from distances (s), all or some, with noise along `axes` axes; the mean excludes the noise."""
     of = np.ones(len(size), dtype=np.bool_) if of is None else of
     own = size[of]
     square = float((own**2).mean())

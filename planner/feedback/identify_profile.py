@@ -1,9 +1,9 @@
-"""A move of one joint from rest to rest: seven segments in a row, each a cubic, as two kinds of controllers make it.
+"""A move of one joint from rest to rest: seven cubic segments, as two kinds of controllers generate it.
 
-Limited jerk: the acceleration is built up at a constant jerk, and in short moves not all of it. Mean over a fixed time: a
-profile with limits of speed and acceleration alone goes through a moving mean; whatever the acceleration, it is then built
-up in that time. Acceleration and braking have limits of their own, as drives have that gravity or a regenerative bus
-treats differently.
+Limited jerk: the acceleration is built up at a constant jerk, and is not fully reached in short moves. Mean over a
+fixed time: a profile that limits only speed and acceleration is smoothed by a moving average; whatever the
+acceleration, it is then built up in that time. Acceleration and braking have separate limits, as gravity or a
+regenerative bus may affect drives differently.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ LEAST_SPEED = 1e-12  # rad/s, m/s
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Greatest speed [rad/s], acceleration and its jerk [rad/s², rad/s³], and those of braking; metres where it slides.
+    """Greatest speed [rad/s], acceleration and its jerk [rad/s², rad/s³], and those of braking; metres if it slides.
 
-    averaged  the profile is one without a jerk limit, smoothed by a mean over acceleration / jerk [s]; the jerk is that
+    averaged  the profile has no jerk limit but is smoothed by a mean over acceleration / jerk [s]; the jerk is that
               from rest, and braking is smoothed by the same mean
-    lag [s]   time constant of a servo that follows the profile late, as a first-order system; 0: it follows at once
+    lag [s]   time constant of a servo that follows the profile as a first-order system; 0: it follows at once
     """
 
     speed: float
@@ -41,13 +41,13 @@ class MotionLimits:
 
 @dataclass(frozen=True)
 class MoveProfile:
-    """Segments of constant jerk (7): where each begins, and how far it goes; the move begins at 0 from 0.
+    """Segments of constant jerk (7); the move begins at time 0 and position 0.
 
     start (7), duration (7) [s];  coefficients (7, 4) of q = c0 + c1 t + c2 t² + c3 t³, t from the segment's start
-    follower (7)   where the lagging servo is at each start, where there is a lag [rad]
-    end            where profile and servo are at the end [rad]
+    follower (7)   position of the lagging servo at each start, if there is a lag [rad]
+    end            positions of profile and servo at the end [rad]
     cruise         how long the greatest speed is held [s]
-    held           how long the greatest acceleration, and braking, are held, over the time in which they are reached
+    held           how long the greatest acceleration, and braking, are held, relative to the time taken to reach them
     """
 
     start: Array
@@ -67,7 +67,7 @@ class MoveProfile:
     @property
     def top_speed(self) -> float:
         """Greatest speed [rad/s]."""
-        # within the segment in which the acceleration turns over, or at an end of it
+        # within the segment in which the acceleration changes sign, or at one of its ends
         _, v, half_a, sixth_j = self.coefficients.T
         with np.errstate(divide="ignore", invalid="ignore"):
             turns = np.clip(np.nan_to_num(-half_a / (3.0 * sixth_j)), 0.0, self.duration)
@@ -84,7 +84,7 @@ class MoveProfile:
         return float(-2.0 * self.coefficients[:, 2].min())
 
     def at(self, t: Array) -> Array:
-        """Positions (m) [rad] at times (m) [s] of the servo; at rest before the start, and behind the end."""
+        """Positions (m) [rad] of the servo at times (m) [s]; before the start it rests, after the end it settles."""
         k, own = self._places(t)
         if self.lag == 0.0:
             return _cubic(self.coefficients[k], own)
@@ -112,18 +112,18 @@ class MoveProfile:
         return np.column_stack([_cubic(c, own), speed, acceleration])
 
     def _places(self, t: Array) -> tuple[Indices, Array]:
-        """The segment (m) of each time, and the time since it began (m), within it."""
+        """The segment (m) of each time, and the time since its start (m), clipped to its duration."""
         k = np.clip(np.searchsorted(self.start, t, side="right") - 1, 0, 6)
         return k, np.clip(t - self.start[k], 0.0, self.duration[k])
 
 
 def move_profile(distance: float, limits: MotionLimits) -> MoveProfile:
-    """The quickest move over a distance > 0 [rad] under limits, or the mean of the quickest one."""
+    """The time-optimal move over a distance > 0 [rad] under limits, smoothed if they say so."""
     return _averaged(distance, limits) if limits.averaged else _limited(distance, limits)
 
 
 def _limited(distance: float, limits: MotionLimits) -> MoveProfile:
-    """The quickest move of limited jerk."""
+    """The time-optimal jerk-limited move."""
     top = _top_speed(distance, limits)
     first, last = _ramp(top, limits.acceleration, limits.jerk), _ramp(top, limits.braking, limits.braking_jerk)
     cruise = max(distance - 0.5 * top * (_length(first) + _length(last)), 0.0) / top
@@ -134,12 +134,12 @@ def _limited(distance: float, limits: MotionLimits) -> MoveProfile:
 
 
 def _averaged(distance: float, limits: MotionLimits) -> MoveProfile:
-    """The quickest move of limited acceleration, smoothed by a mean over a fixed time."""
+    """The time-optimal move of limited acceleration, smoothed by a mean over a fixed time."""
     up, down, mean = limits.acceleration, limits.braking, limits.acceleration / limits.jerk
     top = min(limits.speed, math.sqrt(2.0 * distance * up * down / (up + down)))
     cruise = max(distance / top - 0.5 * top / up - 0.5 * top / down, 0.0)
     ends = np.cumsum([0.0, top / up, cruise, top / down]).tolist()
-    # the mean's jerk is what the acceleration changes by within its time: by these steps, and by the same ones taken back
+    # the jerk is the change of acceleration over the mean's time: these steps enter the window, and later leave it
     steps = (up, -up, -down, down)
     changes = sorted(
         [*zip(ends, steps, strict=True), *((t + mean, -step) for t, step in zip(ends, steps, strict=True))]
@@ -157,7 +157,7 @@ def _built(
     durations: Sequence[float], jerks: Sequence[float], lag: float, cruise: float, held: tuple[float, float]
 ) -> MoveProfile:
     """The profile of seven segments, from rest."""
-    # plain numbers: a fit asks for thousands of moves, and arrays of three would take ten times as long
+    # plain numbers: a fit needs thousands of moves, and short arrays would take ten times as long
     starts, rows, follower = [], [], []
     begun = q = v = a = behind = 0.0
     for t, jerk in zip(durations, jerks, strict=True):
@@ -178,7 +178,7 @@ def _built(
 
 
 def _ramp(top: float, acceleration: float, jerk: float) -> tuple[float, float]:
-    """Times of jerk, twice, and of constant acceleration between [s] in which a speed is reached from rest."""
+    """Times [s] to reach a speed from rest: of each of both jerk phases, and of constant acceleration between them."""
     if top * jerk >= acceleration**2:
         return acceleration / jerk, top / acceleration - acceleration / jerk
     return math.sqrt(top / jerk), 0.0
@@ -197,7 +197,7 @@ def _top_speed(distance: float, limits: MotionLimits) -> float:
 
     if spare(limits.speed) >= 0.0:
         return limits.speed
-    # a search of limits tries some that are so far off that no speed is left
+    # a search tries limits so far off that no speed is left
     return max(float(brentq(spare, 0.0, limits.speed, xtol=1e-14 * limits.speed, rtol=1e-13)), LEAST_SPEED)
 
 
@@ -208,7 +208,7 @@ def _cubic(c: Array, t: Array) -> Array:
 
 
 def _steady(c: Any, lag: float) -> tuple[Any, Any, Any, Any]:
-    """Coefficients (4) of how a first-order system follows a cubic (4), numbers or arrays of them, once its own motion has faded."""
+    """Coefficients (4) of a first-order system's steady response to a cubic (4); numbers or arrays."""
     # u - T Du + T² D²u - T³ D³u solves T Dx + x = u
     c0, c1, c2, c3 = c
     return (

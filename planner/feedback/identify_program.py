@@ -1,9 +1,9 @@
-"""What a test program asks, so that a recording shows what each joint can do, and the program in controllers' languages.
+"""The moves of a test program, chosen so that a recording shows what each joint can do, in controllers' languages.
 
-One joint moves after another, within the space that is free around a posture. Short moves end before the acceleration is
-reached and show the jerk, longer ones the acceleration, the longest the speed. Each joint goes from one end of its free
-space, out and back over distances that double, at full speed; then some of the way at shares of it. Rests between the
-moves tell them apart in a recording. A file beside the program says what was asked, for the reader.
+One joint moves after another, within the free space around a posture. Short moves end before the acceleration is
+reached and show the jerk, longer ones the acceleration, the longest the speed. Each joint starts at one end of its free
+space and moves out and back over doubling distances at full speed, then over part of the way at reduced speed. Rests
+separate the moves in a recording. A file next to the program states what was requested, for reading the recording.
 """
 
 from __future__ import annotations
@@ -33,30 +33,30 @@ from planner.feedback.readings import JointCounting, counting
 from planner.motion.travel.clearance import SWEPT
 from planner.problem import Problem
 
-# Least and greatest length of moves: of joints that turn [rad], and of those that slide [m]. At 0.5 degrees an arm with
-# 15 rad/s² and 750 rad/s³ is limited by its jerk alone. In longer moves a jerk only rounds corners by less than a noise of
-# 0.01 degrees, in shorter ones noise counts for more: so several short ones are made, each some times.
+# Least and greatest length of moves, of revolute joints [rad] and of prismatic ones [m]. At 0.5 degrees an arm with
+# 15 rad/s² and 750 rad/s³ is limited by its jerk alone. In longer moves, the jerk only rounds the profile by less than
+# a noise of 0.01 degrees; in shorter ones, noise weighs more. Hence several short moves, each repeated.
 SHORTEST = (np.radians(0.25), 1e-3)
-LEAST_MOVE = 0.49  # of the shortest: the way to an end of the space may be so long
-SLIDING_UNIT = 1e-3  # m of joints that slide in the file
-SHORT = 5.0  # times the shortest: moves up to that are repeated
+LEAST_MOVE = 0.49  # × the shortest: the move to an end of the space may be this short
+SLIDING_UNIT = 1e-3  # m: unit of prismatic joints in the file
+SHORT = 5.0  # × the shortest: moves up to this length are repeated
 REPEATS = 3
 USUAL_MOST = (np.radians(180.0), 1.0)
-END_ROOM = (np.radians(2.0), 10e-3)  # from the ends of joints' ranges
-LEAST_SPACE = 8.0  # of the shortest moves: a joint with less shows nothing, and is left out
-SLOW_SHARES = (0.5, 0.25)  # of the joint's speed, at which it goes by that share of the whole way as well
+END_ROOM = (np.radians(2.0), 10e-3)  # rad, m kept free at the ends of the joints' ranges
+LEAST_SPACE = 8.0  # × the shortest move: a joint with less space shows nothing, and is left out
+SLOW_SHARES = (0.5, 0.25)  # of the joint's speed; these moves cover the same share of the whole space
 REST = 0.5  # s between moves: servos settle, and a recording shows that all joints stand
 JOINT_REST = 1.0  # s before another joint's moves
 END = "the end of its range"
-CLEAR = 2e-3  # m of clearance beyond what is needed from which nothing more is looked at
+CLEAR = 2e-3  # m beyond the required clearance: pairs farther apart are not examined
 
 
 @dataclass(frozen=True)
 class FreeSpace:
     """How far a joint may move alone while all others stand at the start posture.
 
-    low, high  ends, in the joint's own places [rad, m]
-    bounds     what ends it, in words, at low and at high
+    low, high  ends, as joint positions [rad, m]
+    bounds     what limits it, in words, at low and at high
     """
 
     low: float
@@ -66,7 +66,7 @@ class FreeSpace:
 
 @dataclass(frozen=True)
 class AskedMove:
-    """A joint (its index) goes from one place to another [rad, m] at a share of its speed, the others stand."""
+    """A joint (its index) moves from one position to another [rad, m] at a share of its speed; the others stand."""
 
     joint: int
     start: float
@@ -76,10 +76,10 @@ class AskedMove:
 
 @dataclass(frozen=True)
 class AskedMoves:
-    """What a test program asks of a cell's joints (n): from a start posture (n) one move after another, and back there.
+    """The moves of a test program for a cell's joints (n): from a start posture (n), one after another, and back there.
 
-    asked   limits of speed, acceleration, jerk (n each) that the program itself sets [rad, m]; None where the controller
-            takes its own
+    asked   limits of speed, acceleration, jerk (n each) that the program itself sets [rad, m]; None if the controller
+            uses its own
     counted how the controller counts the joints
     """
 
@@ -102,16 +102,16 @@ class AskedMoves:
 
     @property
     def rests(self) -> Array:
-        """How long they rest (m + 1) [s] there."""
+        """How long the joints rest (m + 1) [s] there."""
         joints = np.array([move.joint for move in self.moves])
         changes = np.concatenate([np.ones(1, bool), np.diff(joints) != 0, np.ones(1, bool)])
         return np.where(changes, JOINT_REST, REST)
 
 
 def start_posture(cell: Cell, given: Sequence[float] | None) -> Array:
-    """The posture (n) [rad, m] from values in degrees, and mm of joints that slide; home where none are given.
+    """The posture (n) [rad, m] from values in degrees, or mm for joints that slide; home if none are given.
 
-    Raises InputError for another number of them, and for one that is outside its joint's range.
+    Raises InputError for a wrong number of values, and for one outside its joint's range.
     """
     if given is None:
         return cell.home.copy()
@@ -128,8 +128,8 @@ def start_posture(cell: Cell, given: Sequence[float] | None) -> Array:
 
 
 def greatest_lengths(cell: Cell, given: Sequence[float] | None) -> Array:
-    """How long each joint's space may be (n) [rad, m] from one value for all in degrees, or one for each joint; mm where
-    it slides. Raises InputError for another number of them."""
+    """Greatest length of each joint's space (n) [rad, m], from one value for all in degrees, or one for each joint, in
+    mm if it slides. Raises InputError for a wrong number of values."""
     n = len(cell.joint_names)
     usual = np.where(cell.limits.turns, *USUAL_MOST)
     if given is None:
@@ -142,25 +142,25 @@ def greatest_lengths(cell: Cell, given: Sequence[float] | None) -> Array:
 
 
 def free_spaces(cell: Cell, obstacles: Obstacles, start: Array, most: Array) -> tuple[FreeSpace, ...]:
-    """The space of each joint around a start posture (n): clear of all that is in the cell, the finished print too.
+    """The free space of each joint around a start posture (n): clear of the cell, and of the finished print.
 
     most (n)  greatest length of each space [rad, m]
-    Raises InputError where the start posture itself is not clear.
+    Raises InputError if the start posture itself is not clear.
     """
     _check_start(obstacles, start)
     return tuple(_space(cell, obstacles, start, j, float(most[j])) for j in range(len(start)))
 
 
 def common_space(spaces: Sequence[FreeSpace]) -> FreeSpace:
-    """The space that a joint has in each of several cells."""
+    """The space of a joint that is free in all of several cells."""
     low, high = max(spaces, key=lambda each: each.low), min(spaces, key=lambda each: each.high)
     return FreeSpace(low.low, high.high, (low.bounds[0], high.bounds[1]))
 
 
 def asked_moves(problem: Problem, cell: Cell, start: Array, spaces: Sequence[FreeSpace], language: str) -> AskedMoves:
-    """The moves of a test program in a language; those of joints without enough space are left out.
+    """The moves of a test program in a language; joints without enough space are left out.
 
-    Raises InputError where no joint has space enough.
+    Raises InputError if no joint has enough space.
     """
     moves: list[AskedMove] = []
     for j, space in enumerate(spaces):
@@ -185,13 +185,13 @@ def asked_moves(problem: Problem, cell: Cell, start: Array, spaces: Sequence[Fre
 
 
 def moves_enough(cell: Cell, j: int, space: FreeSpace) -> bool:
-    """Whether a joint has space enough to show anything."""
+    """Whether a joint has enough space to show anything."""
     return space.high - space.low >= LEAST_SPACE * SHORTEST[int(not cell.limits.turns[j])]
 
 
 def _joint_moves(j: int, home: float, space: FreeSpace, shortest: float) -> list[AskedMove]:
     whole = space.high - space.low
-    # the last of the distances that double is the whole space, unless that is hardly more than the one before
+    # distances double up to the whole space, without one that is hardly less than it
     count = int(np.log2(whole / shortest) - 0.5)
     distances = [*(shortest * 2.0**k for k in range(count + 1)), whole]
     distances = [each for each in distances for _ in range(REPEATS if each <= SHORT * shortest else 1)]
@@ -208,7 +208,7 @@ def _check_start(obstacles: Obstacles, start: Array) -> None:
     if margin[0] < 0.0:
         one, other = obstacles.names(int(which[0]))
         raise InputError(
-            f"{one} and {other} lack {-1e3 * margin[0]:.1f} mm of their clearance at the start posture",
+            f"{one} and {other} are {-1e3 * margin[0]:.1f} mm too close at the start posture",
             field="--start",
             hint="choose another posture",
         )
@@ -221,7 +221,7 @@ def _space(cell: Cell, obstacles: Obstacles, start: Array, j: int, most: float) 
         _way(obstacles, start, j, min(most, float(room)), sign)
         for room, sign in ((start[j] - low, -1.0), (high - start[j], 1.0))
     ]
-    # both sides alike, what one of them lacks added to the other
+    # split evenly between both sides; what one side lacks is added to the other
     below = min(ways[0][0], max(0.5 * most, most - ways[1][0]))
     above = min(ways[1][0], most - below)
     bounds = [
@@ -232,12 +232,12 @@ def _space(cell: Cell, obstacles: Obstacles, start: Array, j: int, most: float) 
 
 
 def _way(obstacles: Obstacles, start: Array, j: int, room: float, sign: float) -> tuple[float, str]:
-    """How far a joint may go to one side, up to some room [rad, m], and what ends it there."""
+    """How far a joint may move to one side, up to `room` [rad, m], and what limits it there."""
     if room <= 0.0:
         return 0.0, END
     if not obstacles.any:
         return room, END
-    # no point of the cell moves by more than SWEPT from one posture to the next, so half of that must be to spare
+    # no point of the cell moves more than SWEPT between postures, so keep half of that as additional clearance
     offsets = np.linspace(0.0, room, max(int(np.ceil(room * float(obstacles.swing[j]) / SWEPT)), 1) + 1)
     q = np.tile(start, (len(offsets), 1))
     q[:, j] += sign * offsets
@@ -250,33 +250,35 @@ def _way(obstacles: Obstacles, start: Array, j: int, room: float, sign: float) -
 
 
 def _units(cell: Cell) -> Array:
-    """Degrees, and mm of joints that slide, in rad and m (n)."""
+    """Factors (n) from degrees to rad, or from mm to m for joints that slide."""
     return np.where(cell.limits.turns, np.pi / 180.0, 1e-3)
 
 
 TEST_LANGUAGES = ("rapid", "urscript", "krl", "joint_trajectory")
 FORMAT = "beadwise identify 1"
 LARGEST_FILE = 5_000_000  # bytes: some 50,000 moves
-TO_START = 0.1  # of the joints' speed, on the way to the start
-UNLIMITED = 9999  # mm/s and deg/s: RAPID takes what the joints can do
+TO_START = 0.1  # × the joints' speed, on the way to the start
+UNLIMITED = 9999  # mm/s and deg/s: RAPID reduces this to what the joints can do
 
 
 def language_of(problem: Problem, cell: Cell, asked: str | None) -> str:
-    """The language of a test program: as asked, or the arm's own. Raises InputError for one that does not do.
+    """The language of a test program: as requested, or the arm's own. Raises InputError for an unsuitable one.
 
-    A test program moves joints alone: how many nozzles there are, and what a print's run has taught, is no matter.
+    A test program only moves joints, so the number of nozzles and corrections learnt from runs do not matter.
     """
     language = asked or cell.arm_robot.language
     if language not in TEST_LANGUAGES:
-        reason = f"test programs are written in {', '.join(TEST_LANGUAGES)}, and {cell.arm_robot.name} takes {language}"
-        raise InputError(reason, field="--language", hint="move it by a program of your own that asks the same moves")
+        reason = f"test programs are written in {', '.join(TEST_LANGUAGES)}, but {cell.arm_robot.name} takes {language}"
+        raise InputError(reason, field="--language", hint="write a program of your own that asks for the same moves")
     joints_alone = ProblemSetup(problem.model_copy(update={"as_run": None}), replace(cell, nozzles=()))
     if (reason_not := LANGUAGES[language].unsupported(joints_alone)) is not None:
         raise InputError(f"{language} cannot say this: {reason_not}", field="--language")
     if language == "rapid" and cell.second_arm is not None:
-        reason = f"{cell.second_arm.name} moves in a task of its own, and a test program is one task"
+        reason = f"{cell.second_arm.name} moves in a task of its own, but a test program has only one task"
         raise InputError(
-            reason, field="cell.positioner.free", hint="[] holds it; its own limits: a problem in which it is the arm"
+            reason,
+            field="cell.positioner.free",
+            hint="[] keeps it still; for its own limits, use a problem in which it is the arm",
         )
     return language
 
@@ -306,7 +308,7 @@ def _about(asked: AskedMoves) -> list[str]:
 
 
 def _steps(asked: AskedMoves) -> list[tuple[AskedMove | None, float]]:
-    """Each move with the rest behind it, the first without a move."""
+    """Each move with the rest after it; the first entry is a rest without a move."""
     return list(zip((None, *asked.moves), asked.rests.tolist(), strict=True))
 
 
@@ -342,8 +344,8 @@ def _rapid(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
 
 
 def _axis_speeds(limits: Limits, joints: Iterable[int], share: float) -> tuple[float, float]:
-    """The last two speeds of a speeddata at a share of the least speed of some joints: of those that turn [deg/s], to which
-    the tool's turning speed is the same, and of those that slide [mm/s]."""
+    """Speeds of a speeddata at a share of the least speed of some joints: of those that turn [deg/s], also used for the
+    tool's reorientation, and of those that slide [mm/s]."""
     speeds = np.where(limits.turns, np.degrees(limits.velocity), 1e3 * limits.velocity)
     own = [[float(speeds[j]) for j in joints if limits.turns[j] == turns] for turns in (True, False)]
     turning, sliding = (round(share * min(each), 3) if each and share < 1.0 else UNLIMITED for each in own)
@@ -393,7 +395,7 @@ def _urscript(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
 
 
 def _joint_trajectory(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
-    """ROS's message: the trajectory's own profiles, in which cubics of constant jerk meet at the points."""
+    """A ROS message with the move profiles, whose cubics of constant jerk meet at the points."""
     n, q, rests = len(asked.start), asked.postures, asked.rests
     time, points = [0.0], [np.stack([asked.start, np.zeros(n), np.zeros(n)])]
     now = float(rests[0])
@@ -425,16 +427,16 @@ def asked_limits(asked: AskedMoves, cell: Cell, move: AskedMove) -> MotionLimits
 
 
 # ----------------------------------------------------------------------------------------------------
-# What was asked, as a file.
+# The file of the requested moves.
 
 
 def asked_name(problem: str) -> str:
-    """File of what a test program asks."""
+    """Name of the file of a test program's moves."""
     return f"{problem}_asked.json"
 
 
 def asked_text(asked: AskedMoves) -> str:
-    """JSON of what a test program asks: degrees, and mm of joints that slide."""
+    """JSON of a test program's moves: degrees, or mm for joints that slide."""
     units = _file_units(asked.sliding, len(asked.start))
     names = asked.joint_names
     data = {
@@ -469,8 +471,8 @@ def asked_text(asked: AskedMoves) -> str:
 
 
 def read_asked(path: Path, problem: Problem, cell: Cell) -> AskedMoves:
-    """What a test program asked of this cell. Raises InputError for a file that is none, or of another cell."""
-    wrong = "is not what a test program asked"
+    """Read a test program's moves for this cell. Raises InputError for another kind of file, or another cell's."""
+    wrong = "does not say what a test program asked"
     hint = f"the file {asked_name(problem.name)} that `identify write` made beside its program"
     try:
         if path.stat().st_size > LARGEST_FILE:
@@ -492,9 +494,9 @@ def read_asked(path: Path, problem: Problem, cell: Cell) -> AskedMoves:
         raise InputError(f"{wrong}: {error}", file=path, hint=hint) from error
     proper = all(np.isfinite(column).all() for column in columns.values())
     if not found or not proper or (np.abs(columns["controller_sign"]) != 1.0).any():
-        raise InputError(f"{wrong}: it has no moves, or places that are no numbers", file=path, hint=hint)
+        raise InputError(f"{wrong}: it has no moves, or values that are not numbers", file=path, hint=hint)
     if any(each is not None and not (np.isfinite(each) & (each > 0.0)).all() for each in asked):
-        raise InputError(f"{wrong}: a limit of it is not above 0", file=path, hint=hint)
+        raise InputError(f"{wrong}: one of its limits is not above 0", file=path, hint=hint)
     return AskedMoves(
         problem=for_problem,
         language=language,
@@ -509,7 +511,7 @@ def read_asked(path: Path, problem: Problem, cell: Cell) -> AskedMoves:
 
 def _check_cell(path: Path, names: tuple[str, ...], joints: list[Any], cell: Cell) -> None:
     if names != cell.joint_names:
-        reason = f"was asked of {', '.join(names)[:200]}, and this cell has {', '.join(cell.joint_names)}"
+        reason = f"is for joints {', '.join(names)[:200]}, but this cell has {', '.join(cell.joint_names)}"
         raise InputError(reason, file=path, hint="name the problem for which the program was written")
     units = ["mm" if j in cell.limits.sliding else "deg" for j in range(len(names))]
     if [joint["unit"] for joint in joints] != units:
@@ -536,7 +538,7 @@ def _optional(rows: list[Any], key: str) -> Array | None:
 
 
 def _file_units(sliding: tuple[int, ...], n: int) -> Array:
-    """What the file's numbers are in rad and m (n)."""
+    """Units (n) of the file's numbers in rad and m."""
     units = np.full(n, np.pi / 180.0)
     units[list(sliding)] = SLIDING_UNIT
     return units

@@ -1,4 +1,4 @@
-"""Copies of robots' files with the limits that a recording has shown, and what they were measured from."""
+"""Copies of robots' files with the limits that a recording has shown, and their source."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from planner.feedback.identify_fit import QUANTITIES, IdentifiedLimit, JointFit
 from planner.problem import Problem
 from planner.problem.rewrite import Value, with_values
 
-FIELDS = ("speed_rad_s", "acceleration_rad_s2", "jerk_rad_s3")  # of a robot's file, of QUANTITIES
-DIGITS = 4  # significant, of what is written: more than any recording tells
+FIELDS = ("speed_rad_s", "acceleration_rad_s2", "jerk_rad_s3")  # of a robot's file, in the order of QUANTITIES
+DIGITS = 4  # significant digits written: more than any recording resolves
 
 
 @dataclass(frozen=True)
 class MeasuredRobot:
-    """One robot of a cell: its file, what it does there, and of its joints (k of them, all in their order) those of the
-    cell (index), or None for one that does not move there."""
+    """One robot of a cell: its file, its role in the copy's name (may be empty), and for each of its joints (k, in
+    order) the index among the cell's joints, or None if it does not move there."""
 
     path: Path
     robot: Robot
@@ -39,12 +39,12 @@ class MeasuredRobot:
     joints: tuple[int | None, ...]
 
     def target(self, folder: Path) -> Path:
-        """The copy's place in a folder."""
+        """The path of the copy in a folder."""
         return folder / f"{self.path.stem.removesuffix('_measured')}_{self.does}measured.yaml"
 
 
 def robots_of(problem: Problem, cell: Cell) -> list[MeasuredRobot]:
-    """The robots of a cell: the arm, what carries it, what holds the part; of two of one kind each has a file of its own."""
+    """The robots of a cell: arm, its carrier, and the part's positioner; two of the same model get separate files."""
     spec, na = problem.cell, len(cell.arm)
     names = {name: cell.own.start + k for k, name in enumerate(cell.arm.names[cell.own])}
     out = [_measured(spec.arm, "", names)]
@@ -64,14 +64,14 @@ def _measured(named: str | Path, does: str, joints: Mapping[str, int]) -> Measur
 
 
 def check_targets(robots: Sequence[MeasuredRobot], folder: Path) -> None:
-    """Raises OutputError where a copy is there already."""
+    """Raises OutputError if a copy already exists."""
     for robot in robots:
         if robot.target(folder).exists():
             raise OutputError(f"{robot.target(folder)} is there already, and stays as it is: name a folder with --out")
 
 
 def usable(found: IdentifiedLimit) -> bool:
-    """Whether a limit is written: it is told, and is the robot's own rather than what the program had set."""
+    """Whether a limit is written: the recording shows it, and it is the robot's own rather than set by the program."""
     return found.told and not found.as_asked
 
 
@@ -82,9 +82,9 @@ def write_measured(
     source: Path,
     folder: Path,
 ) -> list[Path]:
-    """Write a copy of each robot's file of which a limit is told; returns their paths.
+    """Write a copy of each robot's file for which a limit was found; returns their paths.
 
-    source: the recording. Raises OutputError where there is a file already, or none can be written.
+    source: the recording. Raises OutputError if a file already exists or cannot be written.
     """
     by_joint = {fit.joint: fit for fit in fits}
     written: list[Path] = []
@@ -98,7 +98,7 @@ def write_measured(
             folder.mkdir(parents=True, exist_ok=True)
             write_new(target, text)
             written.append(target)
-            read_robot(target)  # which tells what no robot may have
+            read_robot(target)  # raises InputError for values that no robot may have
     except (OSError, InputError) as error:
         for path in written:
             path.unlink(missing_ok=True)
@@ -109,7 +109,7 @@ def write_measured(
 
 
 def controller_values(found: PathFindings) -> dict[str, float]:
-    """What a run has shown of the controller, as the key `controller` of a robot's file has it."""
+    """What a run has shown of the controller, as values for the key `controller` of a robot's file."""
     out: dict[str, float] = {}
     if found.lag.told:
         out["lag_ms"] = float(f"{1e3 * found.lag.value:.3g}")
@@ -128,14 +128,14 @@ def controller_values(found: PathFindings) -> dict[str, float]:
 def write_controller(
     robot: MeasuredRobot, found: PathFindings, about: Sequence[str], source: Path, folder: Path
 ) -> Path:
-    """Write a copy of an arm's file with what a run has shown of its controller, beside what the file has; returns its path.
+    """Write a copy of an arm's file that adds what a run has shown of its controller; returns its path.
 
-    about   what is to stand above it, in words;  source: the recording
-    Raises OutputError where there is a file already, or none can be written.
+    about   lines for the comment at the top;  source: the recording
+    Raises OutputError if a file already exists or cannot be written.
     """
     file, text = read_robot_file(robot.path), _read(robot.path)
     told = f"controller from {source.name}"
-    # a run that does not show something says nothing against what the file has of it
+    # keep the file's value of whatever the run does not show
     known = {str(name): float(value) for name, value in file.data.get("controller", {}).items()}
     changes: dict[str, Value] = {
         "controller": known | controller_values(found),
@@ -152,7 +152,7 @@ def write_controller(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_new(target, "\n".join(lines) + "\n" + with_values(text, changes))
-        read_robot(target)  # which tells what no robot may have
+        read_robot(target)  # raises InputError for values that no robot may have
     except OSError as error:
         raise OutputError(f"cannot write {target}: {error.strerror}") from error
     except InputError:
@@ -162,7 +162,7 @@ def write_controller(
 
 
 def digest_of(source: Path) -> str:
-    """SHA-256 of a recording, in hexadecimal digits; of a bag that is a folder, of its files' in the order of their names."""
+    """SHA-256 of a recording, in hexadecimal; for a bag that is a folder, of its files' names and digests, in order."""
     if not source.is_dir():
         return digest(source)
     own = hashlib.sha256()
@@ -178,7 +178,7 @@ def measured_text(
     source: Path,
     folder: Path,
 ) -> str:
-    """The text of a copy in a folder: the file with told limits in place of its own, comments and all else as it was."""
+    """The text of a copy in a folder: the file with the measured limits; comments and everything else are unchanged."""
     file = read_robot_file(robot.path)
     text = _read(robot.path)
     changes, told = _changes(robot, file, fits, source, folder)
@@ -194,7 +194,7 @@ def measured_text(
     line = file.source.line((FIELDS[1],))
     if line is None:
         raise InputError(f"{FIELDS[1]} has no line of its own", file=robot.path)
-    # from below to above, so that lines keep their numbers until they are used
+    # from bottom to top, so that line numbers stay valid until they are used
     rows = text.splitlines(keepends=True)
     end = "\r\n" if rows[0].endswith("\r\n") else "\n"
     rows.insert(line - 1, end.join([*lines, ""]))
@@ -204,7 +204,7 @@ def measured_text(
 def _changes(
     robot: MeasuredRobot, file: RobotFile, fits: Sequence[JointFit | None], source: Path, folder: Path
 ) -> tuple[dict[str, Value], str]:
-    """Fields of the copy with their values, and which limits are measured, in words."""
+    """The changed fields of the copy with their values, and a description of which limits were measured."""
     changes: dict[str, Value] = {}
     told: list[str] = []
     assumed = list(file.texts("assumed"))
@@ -232,7 +232,7 @@ def _changes(
 
 
 def _joint_words(fit: JointFit, delay: JointDelay | None) -> str:
-    """What one joint's moves say, in a line."""
+    """What one joint's moves show, in a line."""
     parts = [f"{what} {_limit_words(found)}" for what, found in zip(QUANTITIES, fit.limits, strict=True)]
     if fit.averaged is not None:
         time, error = fit.averaged

@@ -1,4 +1,4 @@
-"""The recording of a plan's own program, set beside the path that the program asks: what is found, and what is refused."""
+"""Compares the recording of a plan's own program with the program's path, and rejects other recordings."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from planner.link.streaming import modules_in
 from planner.plan import Plan
 from planner.problem import Problem
 
-REACHED = 1e-3  # m of the path's end, from which it is reached
-BEHIND = 0.3  # s that are looked at behind the end
+REACHED = 1e-3  # m from the end of the path, within which it is reached
+BEHIND = 0.3  # s examined after the end
 
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A plan's program as it is to be run: its path, the cell whose joints it speaks of, its language, and where from, in words."""
+    """A plan's program: its path, the cell whose joints it uses, its language, and a description of its source."""
 
     path: CommandedPath
     cell: Cell
@@ -52,8 +52,8 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """The part of a recording that follows a path: samples set beside it, and what was found out about the file, in words;
-    lines: where the samples stand in the file."""
+    """The part of a recording that follows a path: samples matched to it, and notes on how the file was read;
+    lines: the samples' lines in the file."""
 
     followed: FollowedPath
     lines: Array
@@ -65,13 +65,13 @@ class RecordedRun:
 
 
 def planned_run(given: str, problem: Problem, cell: Cell) -> PlannedRun:
-    """What a plan asks: of a plan that was saved, or of a folder of results.
+    """The program of a saved plan, or of a folder of results.
 
-    A folder's RAPID program is read; of programs in other languages a saved plan is needed, and without it the sampled
-    path alone is known. Raises InputError for what is no plan of this cell.
+    A folder's RAPID program is read; programs in other languages need a saved plan, without which only the sampled path
+    is known. Raises InputError for anything but a plan of this cell.
     """
     if cell.nozzles:
-        raise problem.error("cell.nozzles", "recordings are held against plans with one nozzle")
+        raise problem.error("cell.nozzles", "recordings can only be compared with plans for one nozzle")
     path = Path(given)
     if path.is_dir():
         return _of_folder(path, problem, cell)
@@ -85,7 +85,9 @@ def planned_run(given: str, problem: Problem, cell: Cell) -> PlannedRun:
         )
     plan = Plan.load(path)
     if plan.joint_names != cell.joint_names or plan.problem.name != problem.name:
-        raise InputError(f"is a plan of {plan.problem.name}", file=path, hint=f"one of {problem.name}, or another CELL")
+        raise InputError(
+            f"is a plan of {plan.problem.name}", file=path, hint=f"a plan of {problem.name}, or another CELL"
+        )
     name = next((each for each in chosen(plan).names if each in CONTROLLERS), None)
     if name is None:
         return PlannedRun(path_of_samples(plan.q, plan.cell), plan.cell, "", "the plan's samples")
@@ -96,7 +98,7 @@ def planned_run(given: str, problem: Problem, cell: Cell) -> PlannedRun:
 
 
 def path_of_program(program: RobotProgram, cell: Cell) -> CommandedPath:
-    """The path of a program as it stands, corners and all. Raises InputError for one that cannot be played."""
+    """The path of a program as written, sharp corners included. Raises InputError if it cannot be played."""
     played = play(program, cell)
     return CommandedPath(
         q=played.q,
@@ -111,14 +113,14 @@ def path_of_program(program: RobotProgram, cell: Cell) -> CommandedPath:
 
 
 def path_of_samples(q: Array, cell: Cell) -> CommandedPath:
-    """The path through sampled joints (k, n) [rad, m], of which no targets are known."""
+    """The path through sampled joints (k, n) [rad, m], without known targets."""
     none, nothing = np.empty(0), np.empty(0, dtype=np.bool_)
     tip = cell.T_part_nozzle(np.ascontiguousarray(q))[:, :3, 3]
     return CommandedPath(q, tip, np.empty(0, dtype=np.intp), none, nothing, nothing, nothing, none)
 
 
 def _of_folder(folder: Path, problem: Problem, cell: Cell) -> PlannedRun:
-    """Of the files that solve wrote."""
+    """The run planned in a folder of results."""
     name = planned_results(folder).name
     if name != problem.name:
         raise InputError(
@@ -153,8 +155,8 @@ def _samples(file: Path, cell: Cell) -> Array:
 
 
 def recorded_run(log: RobotLog, run: PlannedRun, cell: Cell) -> RecordedRun:
-    """Find the run in a recording. Raises InputError with what was found where it is another program's, in other units,
-    with gaps, or not whole."""
+    """Find the run in a recording. Raises InputError that names the cause if it is of another program, in other units,
+    has gaps, or is incomplete."""
     counted = counting(cell, run.language or cell.arm_robot.language)
     starts = run_starts(log, run.cell, counted, run.path.q[0], partial(_counted, run=run, cell=cell))
     if not starts:
@@ -164,12 +166,12 @@ def recorded_run(log: RobotLog, run: PlannedRun, cell: Cell) -> RecordedRun:
 
 
 def _counted(q: Array, run: PlannedRun, cell: Cell) -> Array:
-    """Joints of the cell as those of the run's."""
+    """The cell's joints, counted as in the run's program."""
     return cell.counted(q) if run.cell is not cell and run.language and LANGUAGES[run.language].counted else q
 
 
 def _followed(log: RobotLog, starts: Sequence[RunStart], run: PlannedRun) -> RecordedRun:
-    """The run that begins at one of these starts: the one that goes on farthest."""
+    """The run that follows the path farthest from one of these starts."""
     total = float(run.path.way[-1])
     found = []
     for start in starts:
@@ -206,10 +208,10 @@ def _followed(log: RobotLog, starts: Sequence[RunStart], run: PlannedRun) -> Rec
 
 def _misfit(log: RobotLog, q: Array, run: PlannedRun) -> InputError:
     """Why no run of the program begins in a recording."""
-    hint = "name the columns as they are"
+    hint = "correct the names of the columns"
     for scale, unit, said in ((1.0 / DEGREE, "radians", "degrees"), (DEGREE, "degrees", "radians")):
         if departures(np.where(run.cell.limits.turns, scale, 1.0) * q, run.path.q[0], run.cell):
-            return InputError(f"joints are in {unit}, where its header says {said}", file=log.file, hint=hint)
+            return InputError(f"joints are in {unit}, but its header says {said}", file=log.file, hint=hint)
     names = run.cell.joint_names
     for i in range(len(names)):
         for j in range(i + 1, len(names)):

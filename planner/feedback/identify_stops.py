@@ -1,4 +1,4 @@
-"""Stops of a followed path, and how many moves ahead its controller knows: how long before a stop it begins to brake."""
+"""Stops of a followed path, how long before them braking begins, and how many moves the controller looks ahead."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from planner.export.player.path import lagging_both_ways
 from planner.feedback.identify_corners import CORNER_SPAN, CORNER_TICK, TRUE
 from planner.feedback.identify_path import SHOWN, CommandedPath, FollowedPath, ShownValue
 
-REST = 0.02  # of the greatest speed, below which the tip rests
-HELD = 0.95  # of the programmed speed, below which something holds the robot back
-STOP_SPAN = (-0.5, 0.2)  # s around a stop within which it is looked at
+REST = 0.02  # × the greatest speed, below which the tip rests
+HELD = 0.95  # × the programmed speed, below which something holds the robot back
+STOP_SPAN = (-0.5, 0.2)  # s around a stop that are examined
 STOP_NEAR = 3e-4  # m from a target, within which the robot rests at it
 STOP_UNITS = np.array([1.0, 1.0, 1e-3])  # of speed, instant and ramp in a search [m/s, s, s]
-MOST_LAG, LAG_STEP = 0.05, 2e-3  # s of a lag that is looked for, and by which it is varied
-CLEAR_SPEED = 15.0  # times its noise, from which a speed is known well enough for its stop
-SAME_SPEED = 0.15  # by which a stop's fitted speed may be off the one before it
+MOST_LAG, LAG_STEP = 0.05, 2e-3  # s: largest lag of the search, and its finite difference
+CLEAR_SPEED = 15.0  # × its noise, from which a speed is known well enough to fit its stop
+SAME_SPEED = 0.15  # relative: how far a stop's fitted speed may be off the recorded one before it
 SHORTEST_RAMP = 5e-3  # s
-MOST_STOPS = 12  # that are fitted
-ALIKE_SPEED = 1.1  # times, by which speeds of stops differ that are told together
+MOST_STOPS = 12  # the number of stops fitted, fastest first
+ALIKE_SPEED = 1.1  # ratio of speeds up to which stops are reported together
 NO_STOP = "it never stops from a steady speed"
-STEADY = 0.2  # of the deceleration of stops, below which its speed is steady
+STEADY = 0.2  # × the deceleration of stops, below which the speed is steady
 LEAST_HELD = 10  # samples on moves of one length
-ALIKE_COUNTS = 0.6  # of the scatter of ways, relative, that numbers of moves have at most which tell a look-ahead
+ALIKE_COUNTS = 0.6  # × the relative scatter of distances: counts of moves must scatter less to show a look-ahead
 MOST_SCATTER = 1.0  # moves
-LEAST_AHEAD = 1.5  # moves: fewer are what a least time for each move looks like
-APART = 1.5  # times, by which lengths of moves differ where a look-ahead is told from other causes
+LEAST_AHEAD = 1.5  # moves: fewer could also result from a minimum time per move
+APART = 1.5  # ratio of move lengths needed to tell a look-ahead from other causes
 
 
 @dataclass(frozen=True)
 class Braking:
-    """Stops from one speed [m/s]: how many, and how long an even ramp to rest takes [s], with its standard error; the robot
-    begins to brake so much ahead, and half of that times the speed before the place."""
+    """Stops from one speed [m/s]: their count, and the duration of a linear ramp to rest [s], with its standard error.
+    The robot begins to brake that long before the stop."""
 
     speed: float
     count: int
@@ -46,13 +46,13 @@ class Braking:
 
     @property
     def way(self) -> float:
-        """How far ahead of the stop it begins [m]."""
+        """How far before the stop braking begins [m]."""
         return 0.5 * self.speed * self.time
 
 
 @dataclass(frozen=True)
 class FittedStop:
-    """A stop from a steady speed [m/s]: how long an even ramp to it takes [s], its standard error, and how far it goes [m]."""
+    """A stop from a steady speed [m/s]: the duration of a linear ramp to rest [s], and its standard error."""
 
     speed: float
     time: float
@@ -60,12 +60,12 @@ class FittedStop:
 
     @property
     def way(self) -> float:
-        """How far the robot goes while it brakes [m]."""
+        """How far the robot moves while it brakes [m]."""
         return 0.5 * self.speed * self.time
 
 
 def fitted_stops(path: CommandedPath, followed: FollowedPath) -> list[FittedStop]:
-    """Stops at `fine` targets of lines, from the fastest ones on."""
+    """Stops at `fine` targets of lines, fastest first."""
     at = path.way[path.target]
     rest = max(REST * float(followed.speed.max(initial=0.0)), 3.0 * followed.speed_noise)
     still = followed.speed < rest
@@ -79,7 +79,7 @@ def fitted_stops(path: CommandedPath, followed: FollowedPath) -> list[FittedStop
         top = float(np.percentile(followed.speed[window], 90.0))
         fast = np.flatnonzero(followed.speed[window] >= 0.9 * top) + window.start
         if top > max(3.0 * rest, CLEAR_SPEED * followed.speed_noise) and len(fast) and fast[-1] - fast[0] > 3:
-            # to where it moves on
+            # until it moves on
             moves_on = np.flatnonzero(~still[end : window.stop])
             last = end + int(moves_on[0]) if len(moves_on) else window.stop
             found.append((top, slice(int(fast[0]), last), float(at[i])))
@@ -88,7 +88,7 @@ def fitted_stops(path: CommandedPath, followed: FollowedPath) -> list[FittedStop
 
 
 def _with_one_lag(followed: FollowedPath, parts: Sequence[tuple[float, slice, float]]) -> list[FittedStop]:
-    """Stops with the one lag [s] that explains all of them best, from their speeds [m/s], samples and places [m]."""
+    """Stops fitted with the single lag [s] that fits all of them best; parts: speeds [m/s], samples and places [m]."""
     if not parts:
         return []
 
@@ -100,7 +100,7 @@ def _with_one_lag(followed: FollowedPath, parts: Sequence[tuple[float, slice, fl
 
     best = minimize_scalar(squares, bounds=(0.0, MOST_LAG), method="bounded", options={"xatol": 3e-4, "maxiter": 14})
     lag = float(best.x)
-    # how well the lag is known, and what that does to the ramps
+    # the error of the lag, and its effect on the ramps
     sides = (max(lag - LAG_STEP, 0.0), lag + LAG_STEP)
     around = [fits(each) for each in sides]
     rise = float(np.mean([sum(2.0 * fit.cost for fit in each) for each in around])) - float(best.fun)
@@ -119,8 +119,8 @@ def _with_one_lag(followed: FollowedPath, parts: Sequence[tuple[float, slice, fl
 
 
 def _stop(followed: FollowedPath, part: slice, place: float, top: float, lag: float) -> Any:
-    """An even ramp from a steady speed to rest at a place, behind a lag as that of corners, fitted to samples: speed, instant
-    of rest, and time of the ramp, in STOP_UNITS."""
+    """Fit a linear ramp from a steady speed to rest at a place, smoothed by a lag as in corners, to samples: speed,
+    instant of rest, and duration of the ramp, in STOP_UNITS."""
     t, way = followed.time[part] - followed.time[part.start], followed.way[part] - place
     grid = np.arange(t[0] - CORNER_SPAN, t[-1] + CORNER_SPAN, CORNER_TICK)
     weight = 1.0 / max(followed.noise, 1e-6)
@@ -144,7 +144,7 @@ def _stop(followed: FollowedPath, part: slice, place: float, top: float, lag: fl
 
 
 def brakings(stops: Sequence[FittedStop]) -> list[Braking]:
-    """Stops from speeds that are alike together."""
+    """Group stops from similar speeds."""
     groups: list[list[FittedStop]] = []
     for stop in sorted(stops, key=lambda each: each.speed):
         if groups and stop.speed < ALIKE_SPEED * groups[-1][0].speed:
@@ -163,18 +163,18 @@ def brakings(stops: Sequence[FittedStop]) -> list[Braking]:
 
 
 def looked_ahead(path: CommandedPath, followed: FollowedPath, stops: Sequence[FittedStop]) -> ShownValue:
-    """How many moves ahead of the one that runs the controller knows: so many as the way holds in which it could stop.
+    """The controller's look-ahead: the number of moves after the current one that its braking distance covers.
 
-    A controller that knows few is never faster than that allows: its speed is steady below the programmed one, and the way
-    in which it could stop holds the same number of moves, however long these are. One that knows enough shows only what
-    it needs at least.
+    A controller that knows few moves is never faster than these allow: its speed is steady below the programmed one,
+    and its braking distance covers the same number of moves, however long they are. One that knows enough only shows a
+    lower bound.
     """
     none = float("nan")
     if not stops:
         return ShownValue(none, none, False, NO_STOP)
     at, known = path.way[path.target], sorted(stops, key=lambda stop: stop.speed)
     speeds = np.array([0.0, *(stop.speed for stop in known)])
-    # ramps from speeds that it never stopped from are taken to grow with the speed, as with an even acceleration
+    # ramps from other speeds are interpolated, growing with the speed as at constant acceleration
     need = 0.5 * followed.speed * np.interp(followed.speed, speeds, np.array([0.0, *(stop.time for stop in known)]))
     places = np.append(0.0, at)
     turn = np.append(True, np.diff(places) > 0.0)
@@ -191,7 +191,7 @@ def looked_ahead(path: CommandedPath, followed: FollowedPath, stops: Sequence[Fi
     cruising &= (followed.speed < 1.05 * speeds[-1]) & (followed.way + need < at[-1])
     if not cruising.any():
         return ShownValue(none, none, False, "no steady speed from which it stops")
-    # the move that runs is one of them; so much as a move more is left to how well stops are known
+    # the current move is one of them; one more is subtracted for the uncertainty of the stops
     most = max(float(np.floor(np.percentile(held_by[cruising], 90.0) - 2.0)), 0.0)
     held = cruising & (followed.speed < HELD * path.speed[move])
     groups = []
@@ -203,7 +203,7 @@ def looked_ahead(path: CommandedPath, followed: FollowedPath, stops: Sequence[Fi
     if len(counts) > 1 and lengths.max() > APART * lengths.min():
         ways = counts * lengths
         scatter, share = float(counts.std(ddof=1)), float(counts.mean())
-        # what else holds a robot back leaves it a way that is the same, and not a number of moves
+        # other causes keep the distance constant, not the number of moves
         alike = scatter / share < ALIKE_COUNTS * float(ways.std(ddof=1) / ways.mean())
         if alike and scatter < max(MOST_SCATTER, SHOWN * share) and share > LEAST_AHEAD:
             return ShownValue(share, max(scatter, 1.0), True)

@@ -1,4 +1,4 @@
-"""What was run corrects what is run next: a recording of a program's run, and a program that asks for what the robot left out.
+"""Corrects a program by the recording of its run: the next program compensates what the robot left out.
 
 python -m planner.feedback.learn cylinder_logo run.csv
 """
@@ -71,22 +71,22 @@ from planner.problem.rewrite import absolute_overrides
 from planner.problem.yaml_file import Override
 from planner.report.summary import print_summary
 
-RESULTS_BY = "learn"  # whose files they are, in manifests
-WRITTEN = ("as_run", "name")  # of which the new problem file alone tells, whatever was set besides
-MOST = 1e-3  # m that a program may ask for beside the plan, where nobody says
-TRIES = 12  # smoother corrections at most, and as many smaller ones, until they hold
-SMOOTHER = 0.6  # of what corrections of a bead may bend, from try to try
-FORETOLD = 3  # runs
-TOO_NOISY = 0.5e-3  # m of one recorded tip: with more, corrections would be noise
-LEAST_KNOWN = 10  # samples of beads that a recording must show
-EVENED = 3e-3  # m of bead, on which corrections are evened where lines would be too quick
-AROUND = 10e-3  # m of bead, on which corrections are made smaller where they would not be safe
+RESULTS_BY = "learn"  # the command that owns the files, in manifests
+WRITTEN = ("as_run", "name")  # keys for which the new problem file counts, not earlier overrides
+MOST = 1e-3  # m: default for how far off the plan a program's positions may be
+TRIES = 12  # attempts with smoother corrections, and as many with smaller ones, until they hold
+SMOOTHER = 0.6  # factor on the permitted bend of a bead's corrections from try to try
+FORETOLD = 3  # forecast runs
+TOO_NOISY = 0.5e-3  # m, standard deviation of a recorded tip: with more, corrections would be noise
+LEAST_KNOWN = 10  # samples on beads that a recording must show
+EVENED = 3e-3  # m of bead to either side of a line that would be too quick: corrections are smoothed there
+AROUND = 10e-3  # m of bead to either side of an unsafe place: corrections are reduced there
 
 
 @dataclass(frozen=True)
 class Learned:
-    """A plan whose program is corrected, unless checks of that failed; what runs taught, with the corrections that it has, and
-    how often these were smoothed."""
+    """A plan whose program is corrected, unless its checks failed; the lessons of the runs, with the corrections it
+    uses, and how often these were smoothed."""
 
     plan: Plan
     lessons: Lessons
@@ -112,7 +112,7 @@ def _run(options: argparse.Namespace) -> int:
             learned, errors = _recorded(plan, options, most, stages)
             name, run = next_name(problem), run_of(problem)
         if learned.failed:
-            print(f"no program that is safe: {in_words(learned.failed)}", file=sys.stderr)
+            print(f"no safe program: {in_words(learned.failed)}", file=sys.stderr)
             return EXIT_NOT_VERIFIED
         folder = options.out or Path("out") / name
         target = folder / f"{name}.yaml"
@@ -131,13 +131,13 @@ def _run(options: argparse.Namespace) -> int:
             with results_folder(folder, PLANNED_BY) as fresh:
                 done = write_files(done, fresh, stages)
             unless_done.pop_all()
-    no_more_interruptions()  # which would say that no program was written
+    no_more_interruptions()  # an interruption would now report that no program was written
     print_summary(done, folder, chosen(done).words, program_notes(done, folder), forecast_words(folder))
     return EXIT_VERIFIED if done.verified else EXIT_NOT_VERIFIED
 
 
 def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stages) -> tuple[Learned, RunErrors]:
-    """What a recording teaches, told."""
+    """Learn from a recording, and report it."""
     problem, language = plan.problem, language_of(plan)
     way = recorded_way(plan, read_log(options.log, plan.cell, options.columns, options.topic), language)
     errors = errors_of(plan.trajectory, way)
@@ -146,7 +146,9 @@ def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stag
     if errors.noise > TOO_NOISY:
         reason = f"too noisy: the recorded tip scatters by {1e3 * errors.noise:.2f} mm"
         raise InputError(
-            reason, file=options.log, hint=f"{1e3 * TOO_NOISY:g} mm at most; joints of one instant, more digits"
+            reason,
+            file=options.log,
+            hint=f"{1e3 * TOO_NOISY:g} mm at most; record all joints at the same instant, with more digits",
         )
     print("\n".join(run_lines(plan, way, errors, run_of(problem))), flush=True)
     corrections = corrections_of(problem, plan.toolpath)
@@ -159,10 +161,10 @@ def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stag
 
 
 def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunErrors]:
-    """What runs would teach if the robot did as its controller's model foretells, told; and how far the first would be off.
+    """Learn from forecast runs by the model of the controller, and report it; returns the errors of the first run too.
 
-    Real runs begin anew with what comes of it: of these none has taught anything. Raises InputError for a plan whose program
-    is corrected already.
+    Real runs start afresh from the resulting corrections, as if nothing had been learnt yet. Raises InputError for a
+    plan whose program is already corrected.
     """
     if plan.problem.as_run is not None:
         reason = f"{plan.name} is corrected by as_run already"
@@ -202,10 +204,10 @@ def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunError
 
 
 def ran_plan(given: str, overrides: Sequence[str | Override], strategy: str | None, stages: Stages) -> Plan:
-    """The plan whose program was run: as it was saved, or planned again as it was, but for what is given otherwise.
+    """The plan whose program was run: as saved, or planned again as before, except for overrides and strategy.
 
-    Raises InputError where there is no program of it, as of a saved plan whose problem or robots were changed since, or of
-    results whose problem was, and Refusal where there is no plan.
+    Raises InputError if the plan is not verified, if a saved plan's problem or robots have changed since, or the
+    problem of results has; and Refusal if there is no plan.
     """
     problem, plan = planned_problem(given)
     check_as_planned(given, problem)
@@ -230,10 +232,10 @@ def ran_plan(given: str, overrides: Sequence[str | Override], strategy: str | No
 
 
 def language_of(plan: Plan) -> str:
-    """The language of the arm's program. Raises InputError where its controller does not plan lines by itself, and for a
-    print with several nozzles."""
+    """The language of the arm's program. Raises InputError for one whose controller does not plan lines itself, and for
+    a print with several nozzles."""
     if plan.cell.nozzles:
-        raise plan.problem.error("cell.nozzles", "runs are learnt from of prints with one nozzle")
+        raise plan.problem.error("cell.nozzles", "only runs of prints with one nozzle can be learnt from")
     found = [name for name in chosen(plan).names if name in CONTROLLERS]
     if not found:
         reason = f"no program of lines is written for {plan.cell.arm_robot.name}: {chosen(plan).words}"
@@ -242,15 +244,15 @@ def language_of(plan: Plan) -> str:
 
 
 def controller_of(plan: Plan, language: str) -> ControllerLimits:
-    """The controller of a plan's arm, as it was measured where its robot's file says so."""
+    """The controller of a plan's arm, with the values measured in its robot's file, if any."""
     return CONTROLLERS[language].measured(plan.cell.arm_robot.controller)
 
 
 def learned_plan(
     plan: Plan, lessons: Lessons, errors: RunErrors, most: float, language: str, stages: Stages
 ) -> Learned:
-    """The plan with a corrected program: with as much of the corrections as is safe, and as lines can follow that are no
-    quicker than those of the program without."""
+    """The plan with a corrected program: with as much of the corrections as is safe, and as lines can follow, with no
+    more of them too quick than in the uncorrected program."""
     failed: tuple[Check, ...] = ()
     corrections = lessons.corrections
     smoothed, smaller, bend = 0, 0, most_bent(corrections, len(plan.toolpath.beads))
@@ -289,13 +291,12 @@ def learned_plan(
 
 
 def _differences(plan: Plan, language: str) -> list[str]:
-    """How a plan's program differs from it, if it does."""
+    """How a plan's program differs from the plan, if it does."""
     return LANGUAGES[language].differences(plan, LANGUAGES[language].write(plan))
 
 
 def _not_followed(plan: Plan, corrections: Corrections, beads: Ints, language: str) -> Ints:
-    """Of beads whose corrections lines of the program do not follow those that make it differ by themselves; all of them where
-    none does."""
+    """The beads whose corrections alone make the program differ from its plan; all of the given ones if none does."""
     if len(beads) < 2:
         return beads
     found = []
@@ -318,7 +319,7 @@ def _hasty(plan: Plan, language: str) -> list[int]:
 
 
 def _place(plan: Plan, sample: int) -> tuple[int, float]:
-    """Bead and arc length [m] of a sample of the plan; in travel of the nearest in time that lays material."""
+    """Bead and arc length [m] of a sample of the plan; in travel, of the sample nearest in time that lays material."""
     t = plan.trajectory
     laid = np.flatnonzero(t.deposit)
     k = laid[int(np.argmin(np.abs(laid - sample)))]
@@ -326,7 +327,7 @@ def _place(plan: Plan, sample: int) -> tuple[int, float]:
 
 
 def in_words(checks: Sequence[Check]) -> str:
-    """The checks that fail, each with its worst value and place."""
+    """The failed checks, each with its worst value and place."""
     failed = [check for check in checks if not check.ok]
     return "; ".join(f"{check.name}: {check.worst:.4g} {check.worst_unit}, {check.where}" for check in failed)
 
@@ -335,13 +336,13 @@ def learn_command() -> Command:
     """The parser of `python -m planner.feedback.learn`."""
     parser = Command(
         "feedback.learn",
-        "Have the robot keep to its plan: find where a run of a program left it, in a recording of the joints, and write the "
+        "Make the robot keep to its plan: find where a run of a program departed from it, in a recording of the joints, and write the "
         "program that asks for what was left out.",
         {
             "cylinder_logo run.csv": "the program of the second run in out/cylinder_logo_run_2",
             "out/cylinder_logo_run_2 run2.csv": "that of the third",
-            "my_part.yaml run.csv --most-mm 0.5": "no place asked for that is farther from the plan",
-            "my_part.yaml --forecast": "a program for the first run, from what the controller's model foretells",
+            "my_part.yaml run.csv --most-mm 0.5": "ask for no place farther from the plan than that",
+            "my_part.yaml --forecast": "a program for the first run, from what the controller's model predicts",
         },
         {
             0: "verified plan and corrected program written",
@@ -361,10 +362,10 @@ def learn_command() -> Command:
         type=Path,
         nargs="?",
         metavar="LOG",
-        help="the recording: CSV with time and joints, or a bag of ROS, see the page",
+        help="the recording: CSV with time and joints, or a ROS bag (see the documentation)",
     )
     given.add_argument(
-        "--forecast", action="store_true", help="without a recording, from what the controller's model foretells"
+        "--forecast", action="store_true", help="without a recording, from what the controller's model predicts"
     )
     add_recording(parser)
     parser.add_argument(
@@ -372,7 +373,7 @@ def learn_command() -> Command:
         dest="most",
         type=_millimetres,
         metavar="MM",
-        help="how far from the plan a program may ask for places (default: 1, or as in the runs before)",
+        help="how far from the plan a program may ask for places (default: 1, or as in earlier runs)",
     )
     add_set(parser)
     add_strategy(parser)

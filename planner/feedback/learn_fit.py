@@ -1,9 +1,10 @@
-"""What a program is to ask for next: corrections for the next run from where the last one left its plan.
+"""Corrections for the next run from the deviation of the last one.
 
-Iterative learning: where the executed path is e beside the plan, the next program asks for e less. A controller that cuts
-corners and follows late passes on some of what it is asked, none of it reversed, so that what is left shrinks from run to
-run (Gunnarsson and Norrlöf, "On the design of ILC algorithms using optimization", Automatica 2001; for robot programs He et
-al., arXiv 2301.02348). Across the path only: along it a place off is a time off, which is the speed's to mend.
+Iterative learning control: where the executed path is off the plan by e, the next program requests positions shifted by
+-e. A controller that cuts corners and lags passes on part of each request, never reversed, so that the residual shrinks
+from run to run (Gunnarsson and Norrlöf, "On the design of ILC algorithms using optimization", Automatica 2001; for
+robot programs He et al., arXiv 2301.02348). Only across the path: along it, a position error is a timing error, which
+is a matter of speed.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ from planner.feedback.learn_track import RecordedWay
 from planner.motion.as_run import Corrections
 from planner.plan import Trajectory
 
-KNOT = 16e-3  # s of planned motion between places of corrections: lines shorter than that no controller is asked for
-BEND = 0.1e-3  # m by which corrections may bend from place to place: what is smoother than noise of that is believed
-QUIET = 2e-6  # m: recordings are no better than that
-APART = 1e-6  # m: places of corrections are not nearer to each other
-AROUND = 4  # places to either side, 64 ms: over these it is judged whether a run was better
-MORE, LESS = 1.5, 0.5  # times the gain, where a run was better, and where it was not
-LEAST = 0.01  # gain
-ROUNDED = 2e-9  # m by which numbers in the file may exceed what they stand for
-UNKNOWN_MOST = 0.3  # of a bead, in gaps of a recording, from which on it teaches nothing there
+KNOT = 16e-3  # s of planned motion between knots of the corrections: no controller is given shorter lines
+BEND = 0.1e-3  # m: expected second difference of corrections from knot to knot; the smaller, the smoother
+QUIET = 2e-6  # m: least noise assumed of a recording
+APART = 1e-6  # m: least distance between knots of the corrections
+AROUND = 4  # knots to either side (64 ms) over which a run is judged better or worse
+MORE, LESS = 1.5, 0.5  # factors on the gain where a run was better, and where it was not
+LEAST = 0.01  # least gain
+ROUNDED = 2e-9  # m: margin for rounding in the file
+UNKNOWN_MOST = 0.3  # share of a bead in gaps of the recording, above which the bead is not learnt from
 
 
 @dataclass(frozen=True)
 class RunErrors(ReadOnlyArrays):
-    """Where a run left its plan (n samples of the plan).
+    """Deviation of a run from its plan (n samples of the plan).
 
-    off (n, 3)     of the executed tip across the planned path, part frame [m]; 0 where it is not known
-    known (n)      samples of beads that the recording shows
-    speed (n)      executed along the plan [m/s]; NaN where it is not known
+    off (n, 3)     of the executed tip across the planned path, part frame [m]; 0 where unknown
+    known (n)      samples on beads that the recording shows
+    speed (n)      executed along the plan [m/s]; NaN where unknown
     noise          standard deviation of one recorded tip on a bead [m]
     """
 
@@ -49,12 +50,12 @@ class RunErrors(ReadOnlyArrays):
 
     @property
     def size(self) -> Array:
-        """How far (k) off the plan at samples that are known [m]."""
+        """Distance from the plan (k) at known samples [m]."""
         return np.asarray(np.linalg.norm(self.off[self.known], axis=1))
 
 
 def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
-    """Where a run left a plan, at each sample of it."""
+    """Deviation of a run from a plan, at each sample of the plan."""
     n = len(t)
     place, first = np.unique(np.maximum.accumulate(run.place), return_index=True)
     rows = np.arange(n)
@@ -68,7 +69,7 @@ def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
     along = along / np.where(size > 0.0, size, 1.0)
     off = executed - t.tip
     off -= (off * along).sum(axis=1, keepdims=True) * along
-    # at rest a recording repeats its last digits, and shows no noise
+    # at rest a recording repeats its last digits and shows no noise
     laying = t.deposit[np.minimum(np.rint(run.place).astype(np.int64), n - 1)]
     return RunErrors(
         np.where(known[:, None], off, 0.0),
@@ -79,7 +80,7 @@ def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
 
 
 def _executed(run: RecordedWay, rows: Ints) -> Array:
-    """Executed tips (n, 3) [m] at samples of the plan (n): the mean of what was recorded around each, straight between these."""
+    """Executed tips (n, 3) [m] at samples of the plan (n): means of recorded tips near each, linearly interpolated."""
     near = np.rint(run.place).astype(np.int64)
     count = np.bincount(near)
     there = np.flatnonzero(count)
@@ -88,7 +89,7 @@ def _executed(run: RecordedWay, rows: Ints) -> Array:
 
 
 def _speed(t: Trajectory, when: Array, known: Flags) -> Array:
-    """Speed along the plan (n) [m/s], of the ten samples around each."""
+    """Speed along the plan (n) [m/s], over ten samples around each."""
     way = arc_lengths(t.tip)
     k = np.arange(len(t))
     a, b = np.maximum(k - 5, 0), np.minimum(k + 5, len(t) - 1)
@@ -100,12 +101,12 @@ def _speed(t: Trajectory, when: Array, known: Flags) -> Array:
 
 @dataclass(frozen=True)
 class Lessons(ReadOnlyArrays):
-    """What runs have taught so far (k places), each by the run that was nearest to the plan around it.
+    """What was learnt from the runs so far (k knots), at each knot from the run closest to the plan around it.
 
-    corrections    that the next program is to have, or the last one had
-    best (k, 3)    the corrections of that run [m];  left (k, 3): how far off the plan it was with them [m]
-    gain (k)       how much of what was left is made up for next: less where that was too much before; 0 where no run has
-                   taught anything
+    corrections    of the next program, or of the last one
+    best (k, 3)    the corrections of that run [m];  left (k, 3): its remaining deviation from the plan [m]
+    gain (k)       share of the remaining deviation that is corrected next: reduced where it was too much before; 0
+                   where nothing was learnt from a run
     """
 
     corrections: Corrections
@@ -115,18 +116,18 @@ class Lessons(ReadOnlyArrays):
 
 
 def next_lessons(t: Trajectory, errors: RunErrors, before: Lessons | None, most: float) -> Lessons:
-    """What a run teaches besides what the runs before have; its corrections are `most` [m] each at most.
+    """Add what a run teaches to the lessons of the runs before; corrections are bounded by `most` [m].
 
-    Where a run was nearer to the plan than the best before it, the next asks for what it left, and else for less of what
-    the best one had left: so a robot on which a correction does harm keeps the one that did not. Beads that the trajectory
-    does not lay keep what they had.
+    Where a run was closer to the plan than the best before it, the next corrects its remaining deviation; elsewhere it
+    corrects a smaller share of the best run's. So a robot that a correction makes worse returns to the one that did
+    not. Beads that the trajectory does not lay keep their lessons.
     """
     step = max(round(KNOT / t.dt), 1)
     rows: list[tuple[Array, ...]] = []
     for first, last in true_runs(t.deposit).tolist():
         own = np.arange(first, last)
         knots = np.unique(np.append(np.arange(0, len(own), step), len(own) - 1))
-        knots = knots[np.append(True, np.diff(t.s[own[knots]]) > APART)]  # it may rest on a bead
+        knots = knots[np.append(True, np.diff(t.s[own[knots]]) > APART)]  # the tip may rest on a bead
         bead, s, known = int(t.bead[first]), t.s[own[knots]], errors.known[own]
         ran, best, left, gain = _before(before, bead, s)
         if known.mean() >= 1.0 - UNKNOWN_MOST:
@@ -136,7 +137,7 @@ def next_lessons(t: Trajectory, errors: RunErrors, before: Lessons | None, most:
                 better, np.where(gain == 0.0, 1.0, np.minimum(MORE * gain, 1.0)), np.maximum(LESS * gain, LEAST)
             )
             best, left = np.where(better[:, None], ran, best), np.where(better[:, None], off, left)
-        # where no run has taught anything yet, what a forecast did stays
+        # where no run has been learnt from yet, a forecast's corrections stay
         shift = np.where((gain > 0.0)[:, None], best - gain[:, None] * left, ran)
         rows.append((np.full(len(s), bead), s, shift, best, left, gain))
     beads, s, shift, best, left, gain = (np.concatenate(column) for column in zip(*rows, strict=True))
@@ -145,8 +146,8 @@ def next_lessons(t: Trajectory, errors: RunErrors, before: Lessons | None, most:
 
 
 def _with_others(found: Lessons, before: Lessons, most: float) -> Lessons:
-    """What a run taught, and for beads that it did not lay, as those before the first one of a resumed print, what there was;
-    corrections of these are `most` [m] each at most, too."""
+    """Lessons of a run, with the earlier ones for beads that it did not lay, such as those before the first bead of a
+    resumed print; their corrections are bounded by `most` [m] too."""
     kept = ~np.isin(before.corrections.bead, found.corrections.bead)
     bead = np.concatenate([found.corrections.bead, before.corrections.bead[kept]])
     order = np.argsort(bead, kind="stable")
@@ -162,14 +163,14 @@ def _with_others(found: Lessons, before: Lessons, most: float) -> Lessons:
 
 
 def _bounded(shift: Array, most: float) -> Array:
-    """Displacements (k, 3) [m], made as small as `most` [m] where they are larger."""
+    """Displacements (k, 3) [m], shortened to `most` [m] where they are longer."""
     size = np.linalg.norm(shift, axis=1, keepdims=True)
     return np.asarray(shift * np.minimum(1.0, (most - ROUNDED) / np.where(size > 0.0, size, 1.0)))
 
 
 def _before(before: Lessons | None, bead: int, s: Array) -> tuple[Array, Array, Array, Array]:
-    """Corrections that the last run had, best ones, what these left (k, 3) [m], and gains (k), at arc lengths s (k) of a
-    bead; gains are 0 where no run taught anything."""
+    """Corrections of the last run, the best ones, the deviation these left (k, 3) [m], and gains (k), at arc lengths s
+    (k) of a bead; gains are 0 where nothing was learnt from a run."""
     k = len(s)
     own = slice(0, 0) if before is None else slice(*np.searchsorted(before.corrections.bead, [bead, bead + 1]).tolist())
     if before is None or own.start == own.stop:
@@ -183,14 +184,14 @@ def _before(before: Lessons | None, bead: int, s: Array) -> tuple[Array, Array, 
 
 
 def _around(off: Array) -> Array:
-    """Root mean square (k) of distances off the plan (k, 3) at AROUND places to either side."""
+    """Root mean square (k) of deviations from the plan (k, 3) over AROUND knots to either side."""
     return np.sqrt(uniform_filter1d(np.square(off).sum(axis=1), 2 * AROUND + 1, mode="nearest"))
 
 
 def _smoothed(off: Array, known: Flags, knots: Indices, noise: float) -> Array:
-    """Values (k, 3) at knots whose straight interpolation is nearest to off (n, 3) where that is known, and bends little.
+    """Values (k, 3) at knots whose linear interpolation is close to off (n, 3) where that is known, and bends little.
 
-    The least of sum |off - value|^2 / noise^2 + sum |second difference|^2 / BEND^2: by a matrix of five diagonals.
+    Minimises sum |off - value|^2 / noise^2 + sum |second difference|^2 / BEND^2, with a pentadiagonal matrix.
     """
     n, k = len(off), len(knots)
     if k == 1:
@@ -213,7 +214,7 @@ def _smoothed(off: Array, known: Flags, knots: Indices, noise: float) -> Array:
 
 
 def bends(corrections: Corrections) -> Array:
-    """By how much (k) each place's correction is off the mean of its neighbours on the bead [m]; 0 at a bead's ends."""
+    """Distance (k) of each correction from the mean of its neighbours on the bead [m]; 0 at a bead's ends."""
     bead, shift = corrections.bead, corrections.shift
     out = np.zeros(len(bead))
     inside = (bead[2:] == bead[1:-1]) & (bead[:-2] == bead[1:-1])
@@ -222,19 +223,19 @@ def bends(corrections: Corrections) -> Array:
 
 
 def most_bent(corrections: Corrections, beads: int) -> Array:
-    """The greatest bend (b) of corrections on each of so many beads [m]."""
+    """The greatest bend (b) of the corrections on each of `beads` beads [m]."""
     out = np.zeros(beads)
     np.maximum.at(out, corrections.bead, bends(corrections))
     return out
 
 
 def evened(corrections: Corrections, bend: Array) -> Corrections:
-    """The same; where one is off the mean of its neighbours by more than `bend` (k) [m], half way towards that."""
+    """Move corrections that are off the mean of their neighbours by more than `bend` (k) [m] half way towards it."""
     return _evened_at(corrections, np.flatnonzero(bends(corrections) > bend))
 
 
 def evened_around(corrections: Corrections, bead: int, s: float, reach: float) -> Corrections:
-    """The same; within a reach [m] of a place on a bead, half way towards the mean of their neighbours."""
+    """Move corrections within a reach [m] of a place on a bead half way towards the mean of their neighbours."""
     near = (corrections.bead == bead) & (np.abs(corrections.s - s) <= reach)
     return _evened_at(corrections, np.flatnonzero(near & (bends(corrections) > 0.0)))
 
@@ -246,7 +247,7 @@ def _evened_at(corrections: Corrections, k: Indices) -> Corrections:
 
 
 def less_around(corrections: Corrections, bead: int, s: float, reach: float) -> Corrections:
-    """The same, halved at a place on a bead, and less so within a reach [m] of it."""
+    """Halve the corrections at a place on a bead, and reduce those within a reach [m] of it, less with distance."""
     away = np.where(corrections.bead == bead, np.abs(corrections.s - s) / reach, np.inf)
     share = np.clip(away, 0.0, 1.0)
     share = 0.5 + 0.5 * share**2 * (3.0 - 2.0 * share)

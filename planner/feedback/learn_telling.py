@@ -1,4 +1,4 @@
-"""What a run taught: by how much it left its plan in words, a table and a picture, and the problem of the next run."""
+"""Reports what a run taught: its deviation in words, a table and a picture, and the problem file of the next run."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ CORRECTIONS, PICTURE = "corrections.csv", "learned.png"
 TAUGHT = (
     "# What runs taught, by beadwise learn: the program asks for places beside the plan, so that the robot keeps to it."
 )
-# Columns more: how far the last run was off the plan there, empty where it is not known; and what is gone on from, see Lessons.
+# Further columns: deviation of the last run from the plan, empty where unknown; and the state of learning, see Lessons.
 OFF, GAIN = "off_mm", "gain"
 BEST, LEFT = ("best_dx_mm", "best_dy_mm", "best_dz_mm"), ("left_dx_mm", "left_dy_mm", "left_dz_mm")
-WORTH = 0.9  # of what the best runs before left: one after which more is left has hardly anything to teach any more
-WORST = 3  # places that are named
+WORTH = 0.9  # × the deviation of the best runs before: if more is left, further runs have hardly anything to teach
+WORST = 3  # number of worst places reported
 NEAR = 0.1  # mm
-FARTHEST = 10.0  # mm that runs may have left, or corrections had: a recording that is farther off is refused
-APART = 5e-3  # m along a bead between these
-AT_SPEED = 0.02  # of a bead's speed
+FARTHEST = 10.0  # mm: largest deviation or correction in a file; recordings farther off are rejected
+APART = 5e-3  # m along a bead between the worst places
+AT_SPEED = 0.02  # relative tolerance of a bead's speed
 _RUN = "_run_"  # before the number of a run in the name of its problem
 _BLUE, _GREY, _INK = "#0072b2", "#9aa7b4", "#1b2733"
 
 
 def write_lessons(lessons: Lessons, plan: Plan, errors: RunErrors, target: Path) -> None:
-    """Write what runs taught as CSV, a row for each place. Raises OutputError."""
+    """Write the lessons of runs as CSV, a row for each place. Raises OutputError."""
     corrections = lessons.corrections
     off = off_at(corrections, plan.trajectory, errors) * 1e3
     numbers = np.column_stack([corrections.s, corrections.shift, lessons.best, lessons.left]) * 1e3
@@ -58,7 +58,7 @@ def write_lessons(lessons: Lessons, plan: Plan, errors: RunErrors, target: Path)
 
 
 def read_lessons(problem: Problem, corrections: Corrections) -> Lessons:
-    """What the runs before taught, from the file of a problem's corrections. Raises InputError where it does not say."""
+    """The lessons of the runs before, from the file of a problem's corrections. Raises InputError if it lacks them."""
     spec = problem.as_run
     if spec is None:
         raise ValueError("a problem without corrections")
@@ -66,13 +66,13 @@ def read_lessons(problem: Problem, corrections: Corrections) -> Lessons:
     numbered, table = read_columns(spec.corrections, (*BEST, *LEFT, GAIN), complain)
     beyond = (np.abs(table[:, :6]).max(axis=1, initial=0.0) > FARTHEST) | (table[:, 6] < 0.0) | (table[:, 6] > 1.0)
     if beyond.any():
-        reason = f"{spec.corrections.name}, line {numbered[int(np.argmax(beyond))]}: no run can have taught that"
-        raise complain(reason, hint="the file as beadwise learn wrote it")
+        reason = f"{spec.corrections.name}, line {numbered[int(np.argmax(beyond))]}: no run can have taught this"
+        raise complain(reason, hint="restore the file that beadwise learn wrote")
     return Lessons(corrections, table[:, :3] * 1e-3, table[:, 3:6] * 1e-3, table[:, 6])
 
 
 def off_at(corrections: Corrections, t: Trajectory, errors: RunErrors) -> Array:
-    """How far (k) off the plan a run was at places of corrections [m]; NaN where it is not known."""
+    """A run's distance (k) from the plan at the corrections' places [m]; NaN where unknown."""
     rows = np.flatnonzero(t.deposit)
     order = np.lexsort((t.s[rows], t.bead[rows]))
     rows = rows[order]
@@ -84,14 +84,14 @@ def off_at(corrections: Corrections, t: Trajectory, errors: RunErrors) -> Array:
 
 
 def next_name(problem: Problem, number: int | None = None) -> str:
-    """What the problem of a run is called, of the next one without a number."""
+    """The name of a run's problem; of the next run's if no number is given."""
     stem = problem.name.rpartition(_RUN)[0] if problem.as_run is not None and _RUN in problem.name else problem.name
     suffix = f"{_RUN}{run_of(problem) + 1 if number is None else number}"
     return stem[: LONGEST_NAME - len(suffix)] + suffix
 
 
 def write_problem(problem: Problem, name: str, most: float, folder: Path) -> str:
-    """The text of the problem of a run, of a name, for the folder that its corrections are in."""
+    """The text of a run's problem with a given name, for the folder of its corrections."""
     values: dict[str, Value] = {"name": name}
     if problem.as_run is not None:
         values |= {"as_run.corrections": CORRECTIONS, "as_run.most_mm": most * 1e3}
@@ -101,13 +101,13 @@ def write_problem(problem: Problem, name: str, most: float, folder: Path) -> str
 
 
 def run_of(problem: Problem) -> int:
-    """Which run of a print a problem is for: the first, or the one in the name that was given to it here."""
+    """The number of the run that a problem is for: the one in the name given to it here, otherwise 1."""
     number = problem.name.rpartition(_RUN)[2]
     return int(number) if problem.as_run is not None and number.isdecimal() else 1
 
 
 def off_words(errors: RunErrors) -> str:
-    """How far a run was off its plan."""
+    """How far a run was off its plan, in words."""
     size = errors.size * 1e3
     rms, nearly = np.sqrt((size**2).mean()), np.quantile(size, 0.99)
     return (
@@ -117,7 +117,7 @@ def off_words(errors: RunErrors) -> str:
 
 
 def run_lines(plan: Plan, way: RecordedWay, errors: RunErrors, run: int) -> list[str]:
-    """By how much a run left its plan, and where most."""
+    """How far a run deviated from its plan, and where most, in words."""
     t, size = plan.trajectory, errors.size * 1e3
     rows = np.flatnonzero(errors.known)
     seen = len(rows) / int(np.count_nonzero(t.deposit))
@@ -135,7 +135,9 @@ def run_lines(plan: Plan, way: RecordedWay, errors: RunErrors, run: int) -> list
         out.append(f"at the commanded speed in {share:.1%} of that time, planned {planned:.1%}")
     turned = way.turned[t.deposit[np.minimum(np.rint(way.place).astype(np.int64), len(t) - 1)]]
     if len(turned):
-        out.append(f"the axis is off by {np.degrees(np.quantile(turned, 0.99)):.2f} degrees (99 %), and stays so")
+        out.append(
+            f"the axis is off by {np.degrees(np.quantile(turned, 0.99)):.2f} degrees (99 %), which is not corrected"
+        )
     out.append("most off: " + "; ".join(_places(t, rows, size)))
     return out
 
@@ -155,7 +157,7 @@ def _places(t: Trajectory, rows: Indices, size: Array) -> list[str]:
 
 
 def next_lines(lessons: Lessons, before: Lessons | None, shown: Ints, smoothed: int) -> list[str]:
-    """What the next program asks for, and whether another run is worth it; shown: the beads that this run taught about."""
+    """How far the next program is off the plan, and whether another run is worthwhile; shown: the recorded beads."""
     out = [f"the next program asks for places up to {lessons.corrections.most * 1e3:.3f} mm beside the plan"]
     if smoothed:
         out.append(f"corrections were smoothed until lines of the program could follow them (rounds: {smoothed})")
@@ -164,19 +166,19 @@ def next_lines(lessons: Lessons, before: Lessons | None, shown: Ints, smoothed: 
         was, now = (_left(each, again) * 1e3 for each in (before, lessons))
         if len(again) and now > WORTH * was:
             out.append(
-                f"hardly nearer than before, place by place ({now:.3f} mm rms, {was:.3f}): runs have little left to teach"
+                f"hardly closer than before, place by place ({now:.3f} mm rms, {was:.3f}): runs have little left to teach"
             )
     return out
 
 
 def _left(lessons: Lessons, beads: Ints) -> float:
-    """How far off the plan the best runs were at places of some beads, root mean square [m]; 0 without any."""
+    """Root mean square deviation of the best runs at places of some beads [m]; 0 without any."""
     left = lessons.left[np.isin(lessons.corrections.bead, beads)]
     return float(np.sqrt(np.square(left).sum() / max(len(left), 1)))
 
 
 def write_picture(plan: Plan, errors: RunErrors, corrections: Corrections, run: int, target: Path) -> None:
-    """Write how far a run was off its plan, along the print and how often, as PNG. Raises OutputError."""
+    """Write a run's deviation from its plan, along the print and as a distribution, as PNG. Raises OutputError."""
     t = plan.trajectory
     rows = np.flatnonzero(errors.known)
     way = np.cumsum(np.concatenate([[0.0], np.where(np.diff(rows) == 1, np.diff(t.s[rows]), 0.0)]))

@@ -1,4 +1,4 @@
-"""Where along its plan a robot was: each sample of a recorded run against the planned path, in order."""
+"""Where along its plan a robot was: each sample of a recorded run matched to the planned path, in order."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from planner.plan import Plan
 # ----------------------------------------------------------------------------------------------------
 # A recording, read as the cell's joints.
 
-LOST = 5e-3  # m off the plan on a bead: it is another program's, or no program's
-GAP = 4.0  # times the usual step, from which samples are missing
-SEEN = 10  # samples before a gap, by which it is told how fast the robot was
-LEAST_GAP = 0.02  # s: what is missing for less is known from both sides
-COARSE = 0.02  # s between samples at most: with fewer, corners are not seen
-LEVER = 0.05  # m/rad: turning of the nozzle counts as way, where the tip stands still
+LOST = 5e-3  # m off the plan on a bead: the recording is not of this program
+GAP = 4.0  # × the median step, from which samples are missing
+SEEN = 10  # samples before a gap that give the robot's speed
+LEAST_GAP = 0.02  # s: shorter gaps are bridged by interpolation
+COARSE = 0.02  # s: greatest sample interval; with fewer samples, corners are not seen
+LEVER = 0.05  # m/rad: rotation of the nozzle counts as path length, for when the tip stands still
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class RecordedWay(ReadOnlyArrays):
     """A recorded run along a plan (m samples).
 
     time (m) [s];  tip (m, 3) of the executed nozzle, part frame [m];  turned (m): its axis off the plan's there [rad]
-    place (m)      where along the plan, in samples of it;  off (m): how far from there [m]
-    gaps (g, 2)    samples before and behind what is missing
-    remarks        how the file was read, in words
+    place (m)      position along the plan, in samples of it;  off (m): distance from there [m]
+    gaps (g, 2)    samples before and after each gap
+    remarks        notes on how the file was read
     """
 
     time: Array
@@ -45,10 +45,10 @@ class RecordedWay(ReadOnlyArrays):
 
 
 def recorded_way(plan: Plan, log: RobotLog, language: str) -> RecordedWay:
-    """The recording of a run of a plan's program, held against the plan.
+    """Match the recording of a run of a plan's program to the plan.
 
-    language: of the program, by which its controller counts joints. Raises InputError with what was found for what is no
-    such recording: too few samples, one that never is where the program begins, one that goes elsewhere.
+    language: of the program, which determines how its controller counts joints. Raises InputError that names the cause
+    for any other recording: with too few samples, that never is where the program begins, or that goes elsewhere.
     """
     if log.step > COARSE:
         hint = f"at least one every {1e3 * COARSE:g} ms"
@@ -72,7 +72,7 @@ def recorded_way(plan: Plan, log: RobotLog, language: str) -> RecordedWay:
 
 
 def _gone_on(way: RecordedWay) -> float:
-    """How far along the plan a run came before it left it, in samples."""
+    """How far along the plan a run came before departing from it, in samples."""
     left = np.flatnonzero(way.off > LEAVES)
     return float(way.place[: int(left[0]) if len(left) else None].max(initial=0.0))
 
@@ -80,7 +80,7 @@ def _gone_on(way: RecordedWay) -> float:
 def way_along(plan: Plan, cell: Cell, time: Array, q: Array, begin: int = 0) -> RecordedWay:
     """Where along a plan a robot was at times (m) [s], by its joints q (m, n) [rad, m].
 
-    cell: the plan's, or the same as its controller counts joints; begin: the sample at which the robot sets out
+    cell: the plan's, or the same with joints as its controller counts them; begin: the sample at which the run starts
     """
     t = plan.trajectory
     T = cell.T_part_nozzle(np.ascontiguousarray(q))
@@ -90,7 +90,7 @@ def way_along(plan: Plan, cell: Cell, time: Array, q: Array, begin: int = 0) -> 
     gone = np.diff(run.way, prepend=0.0)
     before = np.maximum(missing - SEEN, 0)
     took = np.maximum(time[missing] - time[before], 1e-9)
-    # across a gap the robot may have gone round in a circle: it is taken to have gone on at its speed
+    # across a gap the robot may have gone in a circle: assume that it went on at its speed
     gone[missing + 1] = np.maximum(gone[missing + 1], (run.way[missing] - run.way[before]) / took * steps[missing])
     gone[:begin] = -np.inf
     place, off = track(nozzle_path(t.tip, t.axis), run.points, gone)
@@ -105,7 +105,7 @@ def nozzle_path(tip: Array, axis: Array) -> TrackedPath:
 
 
 def _never_there(plan: Plan, log: RobotLog, counted: JointCounting) -> InputError:
-    """How far a robot is from where the program begins when it is nearest, however the numbers are read."""
+    """An error with the robot's least distance from the start of the program, however the numbers are read."""
     cell, start = plan.cell, plan.trajectory.q[0]
     best = (np.inf, 0, 0, 0.0)
     for reading in readings(log, cell.limits.sliding, counted):
@@ -116,13 +116,15 @@ def _never_there(plan: Plan, log: RobotLog, counted: JointCounting) -> InputErro
         best = min(best, (float(off[i, j]), i, j, float(np.abs(q[i, j] - start[j]))))
     _, i, j, far = best
     words = f"{far * 1e3:.1f} mm" if j in cell.limits.sliding else f"{np.degrees(far):.1f} degrees"
-    reason = f"the robot never is where the program begins: {cell.joint_names[j]} is {words} off when it is nearest"
-    hint = "record from before the program starts, joints in degrees, radians or mm, the plan that was run"
+    reason = f"the robot is never where the program begins: {cell.joint_names[j]} is {words} off at the closest"
+    hint = (
+        "start recording before the program does, with joints in degrees, radians or mm, and name the plan that was run"
+    )
     return InputError(reason, file=log.file, line=int(log.lines[i]), hint=hint)
 
 
 def _check_followed(plan: Plan, log: RobotLog, place: Array, off: Array) -> None:
-    """Raise InputError for a recording that leaves the plan on a bead, or never comes to the end of one."""
+    """Raise InputError for a recording that leaves the plan on a bead, or ends before the first bead does."""
     t = plan.trajectory
     at = np.minimum(np.rint(place).astype(np.int64), len(t) - 1)
     lost = np.flatnonzero(t.deposit[at] & (off > LOST))
@@ -132,7 +134,7 @@ def _check_followed(plan: Plan, log: RobotLog, place: Array, off: Array) -> None
             f"the robot is {off[i] * 1e3:.1f} mm off the plan at bead {t.bead[at[i]]}, {t.s[at[i]] * 1e3:.1f} mm: "
             "a recording of something else"
         )
-        raise InputError(reason, file=log.file, line=int(log.lines[i]), hint="the plan whose program was run")
+        raise InputError(reason, file=log.file, line=int(log.lines[i]), hint="name the plan whose program was run")
     ends = np.flatnonzero(t.deposit[:-1] & ~t.deposit[1:])
     if not len(ends) or place.max() < ends[0]:
         reason = "the recording ends before the first bead does"

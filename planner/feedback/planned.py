@@ -1,4 +1,4 @@
-"""What was planned, by what there is of it: a plan that was saved, a folder of results, a problem file, a shipped name."""
+"""Finds what was planned from a saved plan, a folder of results, a problem file, or a shipped problem's name."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from planner.plan import Plan
 from planner.planning.options import DEFAULT_DT
 from planner.problem import Problem, load_problem, shipped_problems
 
-SAVED = (".npz", ".plan")  # how files of plans end
+SAVED = (".npz", ".plan")  # suffixes of saved plans
 
 
 def planned_problem(given: str) -> tuple[Problem, Plan | None]:
-    """The problem of what was planned, and the plan itself where that was saved.
+    """The problem that was planned, and the plan itself if it was saved.
 
-    Raises InputError where the problem's file cannot be found any more.
+    Raises InputError if the problem's file can no longer be found.
     """
     path = Path(given)
     if _is_results(given):
@@ -30,8 +30,7 @@ def planned_problem(given: str) -> tuple[Problem, Plan | None]:
 
 @dataclass(frozen=True)
 class PlannedWith:
-    """What decides a plan besides its problem: its strategy (None: the problem's own), first bead, and time between samples
-    [s]."""
+    """What else determines a plan of a problem: strategy (None: the problem's own), first bead, sample interval [s]."""
 
     strategy: str | None = None
     first_bead: int = 0
@@ -39,19 +38,19 @@ class PlannedWith:
 
 
 def planned_with(given: str, plan: Plan | None) -> PlannedWith:
-    """What decided a plan besides its problem, of what `planned_problem` gave of it."""
+    """What determined a plan besides its problem; plan: as `planned_problem` returned it."""
     if plan is not None:
         return PlannedWith(plan.strategy, plan.first_bead, float(plan.settings.get("dt", DEFAULT_DT)))
     return planned_results(Path(given)).made if _is_results(given) else PlannedWith()
 
 
 def check_as_planned(given: str, problem: Problem) -> None:
-    """Raise InputError where a folder of results is of a problem file that was changed since."""
+    """Raise InputError if the problem file of a folder of results has changed since it was planned."""
     if not _is_results(given):
         return
     then, now = planned_results(Path(given)).sha256, problem.sources.sha256
     if then and now and then != now:
-        hint = "put it back as it was; where it makes the same plan, give it in place of the folder, with --set as then"
+        hint = "restore it; if it still gives the same plan, name it instead of the folder, with the same --set"
         raise InputError(f"was changed since {given} was planned", file=problem.file, hint=hint)
 
 
@@ -64,14 +63,14 @@ def _of_plan(plan: Plan, path: Path) -> Problem:
     if plan.problem.from_arrays:
         raise InputError("its waypoints are in no file", file=path, hint="plan them from a file of waypoints")
     if not plan.problem.file.is_file():
-        raise InputError(f"its problem file {plan.problem.file} is not there any more", file=path)
+        raise InputError(f"its problem file {plan.problem.file} no longer exists", file=path)
     return load_problem(plan.problem.file, plan.problem.sources.overrides)
 
 
 @dataclass(frozen=True)
 class PlannedResults:
-    """What the plan.json of a folder of results says of its problem: name, file or shipped name (None: from arrays), what
-    `--set` changed (None: it does not say), what else decided the plan, and SHA-256 of the file then (None: likewise)."""
+    """What a results folder's plan.json says of its problem: name, file or shipped name (None: from arrays), `--set`
+    overrides (None: not stated), what else determined the plan, and the file's SHA-256 then (None: not stated)."""
 
     name: str
     problem_file: str | None
@@ -81,7 +80,7 @@ class PlannedResults:
 
 
 def planned_results(folder: Path) -> PlannedResults:
-    """What a folder of results says of its problem. Raises InputError for one that solve did not write."""
+    """Read what a folder of results says of its problem. Raises InputError for one that solve did not write."""
     file = folder / "plan.json"
     try:
         held = json.loads(file.read_text(encoding="utf-8"))
@@ -100,17 +99,17 @@ def planned_results(folder: Path) -> PlannedResults:
 
 
 def _of_folder(folder: Path) -> Problem:
-    """The problem of a folder of results: a shipped one, or the file that was given, from here or beside the folder."""
+    """The problem of a folder of results: a shipped one, or the file, relative to here, the folder or its parents."""
     held = planned_results(folder)
     given, overrides = held.problem_file, held.overrides
     if overrides is None:
         raise InputError("is no plan.json that solve wrote", file=folder / "plan.json")
     if given is None:
-        raise InputError("was planned from waypoints of arrays, which are in no file", file=folder)
+        raise InputError("was planned from waypoints in arrays, which are in no file", file=folder)
     if given in shipped_problems():
         return load_problem(given, overrides)
     found = next((base / given for base in (Path(), folder, *folder.parents) if (base / given).is_file()), None)
     if found is None:
-        hint = "run this from where it was planned, or give the problem file in place of the folder, with --set as then"
-        raise InputError(f"its problem file {given} is not there", file=folder, hint=hint)
+        hint = "run this where it was planned, or name the problem file instead of the folder, with the same --set"
+        raise InputError(f"its problem file {given} does not exist", file=folder, hint=hint)
     return load_problem(found, overrides)

@@ -1,5 +1,4 @@
-"""How the numbers of a recording may be meant: their unit, and how the controller counts its joints; where a run begins in it,
-and whether its clock goes on without gaps."""
+"""How to interpret a recording: units, how the controller counts joints, where a run begins, and gaps in the clock."""
 
 from __future__ import annotations
 
@@ -17,13 +16,13 @@ from planner.export.krl import SIGNS as KUKA_SIGNS
 from planner.export.languages import LANGUAGES
 from planner.feedback.recordings import DEGREE, RobotLog
 
-NEAR = (np.radians(1.0), 3e-3)  # from a program's first posture, within which a run begins [rad, m]
-LEAVES = 0.03  # m from a path, beyond which it is another program's
-MOST_STARTS = 6  # times that the robot stands at the first posture, from which a run is looked for
-LEAST_MOTION = 5  # samples behind a start
-BEFORE = 0.2  # s
-FINEST = (np.radians(0.05), 1e-4)  # of the steps in which joints are recorded at most [rad, m]
-GAP = 5.0  # median steps: a longer one is a gap
+NEAR = (np.radians(1.0), 3e-3)  # rad, m from a program's first posture, within which a run begins
+LEAVES = 0.03  # m from a path: beyond, the motion is another program's
+MOST_STARTS = 6  # departures from the first posture that are tried as the start of a run
+LEAST_MOTION = 5  # samples after a start
+BEFORE = 0.2  # s before the start that are included
+FINEST = (np.radians(0.05), 1e-4)  # rad, m: coarsest resolution of recorded joints
+GAP = 5.0  # × the median step: a longer one is a gap
 
 
 @dataclass(frozen=True)
@@ -35,13 +34,13 @@ class JointCounting:
 
     @property
     def own(self) -> bool:
-        """Whether it counts otherwise than the cell does."""
+        """Whether it counts differently from the cell."""
         return not (np.all(self.signs == 1.0) and np.all(self.offsets == 0.0))
 
 
 @dataclass(frozen=True)
 class LogReading:
-    """One way to read a file's numbers: factors and offsets (n each) that make them the cell's joints, and in words."""
+    """One way to read a file's numbers: factors and offsets (n each) that convert them to joints, and a description."""
 
     scale: Array
     offset: Array
@@ -54,8 +53,8 @@ class LogReading:
 
 @dataclass(frozen=True)
 class RunStart:
-    """A place in a recording where a run may begin: how its numbers are read, joints (m, n) [rad, m], and the sample from which
-    on the run is looked at, some BEFORE the robot leaves the place where the program begins."""
+    """Where in a recording a run may begin: how its numbers are read, joints (m, n) [rad, m], and the first sample to
+    use, BEFORE [s] the robot leaves the program's first posture."""
 
     reading: LogReading
     q: Array
@@ -63,7 +62,7 @@ class RunStart:
 
 
 def counting(cell: Cell, language: str) -> JointCounting:
-    """How the controller of a language counts a cell's joints; as the cell does without one."""
+    """How the controller of a language counts a cell's joints; like the cell if no language is given."""
     signs, offsets = np.ones(len(cell.joint_names)), np.zeros(len(cell.joint_names))
     if not language:
         return JointCounting(signs, offsets)
@@ -77,7 +76,7 @@ def counting(cell: Cell, language: str) -> JointCounting:
 
 
 def readings(log: RobotLog, sliding: tuple[int, ...], counted: JointCounting) -> Iterator[LogReading]:
-    """The ways in which a file's numbers may be meant: units that it does not say, joints as the controller counts them."""
+    """The possible interpretations of a file's numbers: of missing units, and of joints counted like the controller."""
     n = len(counted.signs)
     slides = np.isin(np.arange(n), sliding)
     unsaid = np.isnan(log.unit)
@@ -92,12 +91,12 @@ def readings(log: RobotLog, sliding: tuple[int, ...], counted: JointCounting) ->
 
 
 def near_start(q: Array, start: Array, cell: Cell) -> Array:
-    """How far each joint (m, n) [rad, m] is from a program's first posture (n), over what is NEAR."""
+    """Distance of each joint (m, n) [rad, m] from a program's first posture (n), relative to NEAR."""
     return np.asarray(np.abs(q - start) / np.where(cell.limits.turns, *NEAR))
 
 
 def departures(q: Array, start: Array, cell: Cell) -> list[int]:
-    """Last samples of the stretches in which the robot stands where a program begins, those that move on."""
+    """The last samples of the stretches near a program's first posture, if motion follows."""
     near = np.append((near_start(q, start, cell) < 1.0).all(axis=1), False)
     ends = np.flatnonzero(near[:-1] & ~near[1:])
     return [int(k) for k in ends if k < len(q) - LEAST_MOTION][:MOST_STARTS]
@@ -106,9 +105,9 @@ def departures(q: Array, start: Array, cell: Cell) -> list[int]:
 def run_starts(
     log: RobotLog, cell: Cell, counted: JointCounting, start: Array, as_run: Callable[[Array], Array] = np.asarray
 ) -> list[RunStart]:
-    """All places in a recording where a run from a first posture (n) [rad, m] may begin, however its numbers are meant.
+    """All places in a recording where a run from a first posture (n) [rad, m] may begin, in every interpretation.
 
-    as_run: gives joints (m, n) of the cell as those of the run, if they are counted otherwise
+    as_run: converts joints (m, n) of the cell to those of the run, if they are counted differently
     """
     out = []
     for reading in readings(log, cell.limits.sliding, counted):
@@ -118,7 +117,7 @@ def run_starts(
 
 
 def check_digits(log: RobotLog, reading: LogReading, cell: Cell) -> None:
-    """Raises InputError where joints were recorded in steps that are too coarse to tell where the robot was."""
+    """Raises InputError if the resolution of the recorded joints is too coarse to tell where the robot was."""
     steps = np.abs(np.diff(log.executed, axis=0)) * np.abs(reading.scale)
     least = np.where(steps > 0.0, steps, np.inf).min(axis=0)
     coarse = np.flatnonzero(np.isfinite(least) & (least > np.where(cell.limits.turns, *FINEST)))
@@ -126,11 +125,11 @@ def check_digits(log: RobotLog, reading: LogReading, cell: Cell) -> None:
         j = int(coarse[0])
         words = f"{np.degrees(least[j]):.3g} degrees" if cell.limits.turns[j] else f"{1e3 * least[j]:.3g} mm"
         reason = f"{cell.joint_names[j]} is recorded in steps of {words}"
-        raise InputError(reason, file=log.file, hint="a recording with more digits")
+        raise InputError(reason, file=log.file, hint="record with more digits")
 
 
 def check_clock(log: RobotLog, first: int, last: int) -> None:
-    """Raises InputError where samples are missing between two of them, or the clock jumps."""
+    """Raises InputError if samples are missing between two samples, or the clock jumps."""
     steps = np.diff(log.time[first:last])
     gaps = np.flatnonzero(steps > GAP * log.step)
     if len(gaps):

@@ -1,4 +1,4 @@
-"""Recordings of a robot's joints: CSV files as controllers, their interfaces and ROS's tools write them, and bags of ROS."""
+"""Recordings of a robot's joints: CSV files from controllers, their interfaces and ROS tools, and ROS bags."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from planner.export.external import external_axes
 from planner.feedback.bags import BagTable, is_bag, read_bag
 from planner.feedback.glitches import cleaned
 
-LARGEST_FILE = 300_000_000  # bytes: an hour of a thousand samples a second
+LARGEST_FILE = 300_000_000  # bytes: an hour at 1 kHz
 LEAST_SAMPLES = 50
 
-# Words of a column's name, by what they say. Those that say what the robot was told come first in a name that has both.
+# Words in column names, by meaning. In a name with words of both kinds, commanded takes precedence over executed.
 COMMANDED = {"target", "cmd", "command", "commanded", "desired", "reference", "ref", "setpoint", "planned", "goal"}
 EXECUTED = {"actual", "act", "executed", "measured", "meas", "feedback", "fb", "state", "states", "real", "msr"}
 FILLING = {
@@ -41,23 +41,23 @@ PLACES = {"deg": DEGREE, "degree": DEGREE, "degrees": DEGREE, "°": DEGREE, "rad
 CLOCKS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6,
           "µs": 1e-6, "usec": 1e-6, "ns": 1e-9, "nsec": 1e-9, "nsecs": 1e-9, "nanosec": 1e-9}  # fmt: skip
 ROS_STAMP = 1e16  # beyond, a stamp without a unit counts nanoseconds since 1970, as rostopic writes them
-MOST_STAMP = 1e19  # of a clock: nanoseconds since 1970 are some 1.7e18
+MOST_STAMP = 1e19  # of a clock: nanoseconds since 1970 are about 1.7e18
 MOST_PLACE = 1e6  # of a joint in any unit: thousands of turns in degrees, a kilometre in mm
-LEAST_STEP, MOST_STEP = 0.2e-3, 0.5  # s between samples: anything else is another unit
+LEAST_STEP, MOST_STEP = 0.2e-3, 0.5  # s between samples: anything else means another unit
 SPELLINGS = "t_s, then joint names, or J1 … J6, q1 … q6, A1 … A6, actual_q_0 … actual_q_5, with _deg or _rad"
 _WORD = re.compile(r"[a-z°µ]+|[0-9]+")
 
 
 @dataclass(frozen=True)
 class RobotLog(ReadOnlyArrays):
-    """A recording (m samples) of a cell's joints (n), as the file has it.
+    """A recording (m samples) of a cell's joints (n), in the file's own units.
 
-    lines (m)            where each sample stands, from line 1
+    lines (m)            line of each sample, from 1
     time (m)             [s]
-    executed (m, n)      where the joints were; commanded (m, n): where they were told to be, if the file knows
-    unit (n)             what the numbers are in [rad, m]; NaN where the file does not say
-    told                 names of the columns that were taken, in the order of time, executed, commanded
-    remarks              what was left out of it, in words
+    executed (m, n)      actual positions; commanded (m, n): commanded positions, if the file has them
+    unit (n)             unit of the numbers in rad or m; NaN if the file does not state it
+    told                 names of the columns used, in the order of time, executed, commanded
+    remarks              notes on what was left out
     """
 
     file: Path
@@ -78,11 +78,11 @@ class RobotLog(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class LogColumn:
-    """A column that is wanted: its place k in a line, its name, what it holds, and in which unit.
+    """A column to be read: its index k in a line, its name, what it holds, and in which unit.
 
     role    "time", "executed" or "commanded"
-    named   the joint whose own name stands there; number: the one that stands behind a J, q or the like, as it stands
-    unit    in s, rad or m; NaN where the name does not say it
+    named   the joint whose name the column contains; number: the number after a J, q or similar, as written
+    unit    in s, rad or m; NaN if the name does not state it
     """
 
     k: int
@@ -95,11 +95,14 @@ class LogColumn:
 
 
 def add_recording(parser: Command) -> None:
-    """The options by which a recording is read: `columns` and `topic` of `read_log`."""
+    """Add the options for reading a recording: `columns` and `topic` of `read_log`."""
     parser.add_argument(
-        "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
+        "--columns",
+        type=_names,
+        metavar="NAMES",
+        help="column names of a file without a header; - for a column to skip",
     )
-    parser.add_argument("--topic", metavar="NAME", help="of the executed joints in a bag, where it has several")
+    parser.add_argument("--topic", metavar="NAME", help="topic of the executed joints, if a bag has several")
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -109,10 +112,10 @@ def _names(text: str) -> tuple[str, ...]:
 def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None, topic: str | None = None) -> RobotLog:
     """Read a recording of this cell's joints.
 
-    columns   names of the columns, of a file without a header; others than those of times and joints are not read
-    topic     of the executed joints in a bag of ROS, where it has several
-    Raises InputError with file, line (in a bag the number of a message) and column for whatever cannot be read, and for a
-    clock that does not run on.
+    columns   column names, for a file without a header; only those of times and joints are read
+    topic     of the executed joints in a ROS bag, if it has several
+    Raises InputError with file, line (in a bag, the message number) and column for whatever cannot be read, and for a
+    clock that does not advance.
     """
     if is_bag(file):
         return _of_bag(file, read_bag(file, cell, topic), cell)
@@ -177,13 +180,13 @@ def _by_role(key: tuple[str, int]) -> tuple[bool, int]:
 
 
 def _check_size(file: Path, lines: Ints, table: Array, columns: Sequence[LogColumn]) -> None:
-    """Raises InputError for a number that is too large for what it stands for, in any unit."""
+    """Raises InputError for a number that is too large for a clock or a joint in any unit."""
     most = np.array([MOST_STAMP if column.role == "time" else MOST_PLACE for column in columns])
     beyond = np.abs(table) > most
     if beyond.any():
         row, column = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-        what = "no clock's" if columns[int(column)].role == "time" else "no joint's"
-        reason = f"column {columns[int(column)].name[:40]!r} is {table[row, column]:.3g} here, which is {what}"
+        what = "a clock" if columns[int(column)].role == "time" else "a joint"
+        reason = f"column {columns[int(column)].name[:40]!r} is {table[row, column]:.3g} here, too large for {what}"
         raise InputError(reason, file=file, line=int(lines[int(row)]))
 
 
@@ -199,19 +202,19 @@ def _time(file: Path, lines: Ints, table: Array, clocks: Sequence[LogColumn]) ->
         hint = (
             f"a name with its unit, such as {name.split('_')[0][:20]}_ms" if step > MOST_STEP else "a clock in seconds"
         )
-        reason = f"column {name[:40]!r} goes on by {step:g} s from sample to sample, which no controller records"
+        reason = f"column {name[:40]!r} advances by {step:g} s from sample to sample, which no controller records"
         raise InputError(reason, file=file, line=int(lines[0]), hint=hint)
     return time
 
 
 def _running_on(log: RobotLog) -> RobotLog:
-    """The recording without samples that were written twice. Raises InputError where its clock runs back or stands still."""
+    """The recording without duplicate samples. Raises InputError if its clock runs back, or stands still in motion."""
     steps = np.diff(log.time)
     back = np.flatnonzero(steps < 0.0)
     if len(back):
         k = int(back[0])
-        reason = f"the clock runs back by {-steps[k]:.6g} s, {log.time[k]:.6g} s behind the first sample"
-        hint = "one recording in a file, in the order in which it was made"
+        reason = f"the clock runs back by {-steps[k]:.6g} s, {log.time[k]:.6g} s after the first sample"
+        hint = "one recording per file, in the order in which it was made"
         raise InputError(reason, file=log.file, line=int(log.lines[k + 1]), hint=hint)
     still = steps == 0.0
     if not still.any():
@@ -222,20 +225,20 @@ def _running_on(log: RobotLog) -> RobotLog:
     moved = np.flatnonzero(still & ~same)
     if len(moved):
         k = int(moved[0])
-        reason = f"the clock stands still {log.time[k]:.6g} s behind the first sample while the joints move"
-        hint = f"{len(moved)} times in all; stamps with more digits"
+        reason = f"the clock stands still {log.time[k]:.6g} s after the first sample while the joints move"
+        hint = f"{len(moved)} times in all; record time stamps with more digits"
         raise InputError(reason, file=log.file, line=int(log.lines[k + 1]), hint=hint)
     return _rows_of(log, np.append(True, ~still))
 
 
 def _rows_of(log: RobotLog, kept: Flags) -> RobotLog:
-    """The recording of some of its samples."""
+    """The recording reduced to some of its samples."""
     commanded = None if log.commanded is None else log.commanded[kept]
     return replace(log, lines=log.lines[kept], time=log.time[kept], executed=log.executed[kept], commanded=commanded)
 
 
 def _without_glitches(log: RobotLog) -> RobotLog:
-    """The recording without samples that no robot can have made. Raises InputError where these are not single ones."""
+    """The recording without samples that no robot can have produced. Raises InputError if there are more than a few."""
     if len(log.time) < LEAST_SAMPLES:
         hint = f"at least {LEAST_SAMPLES}"
         raise InputError(f"holds {len(log.time)} samples at different times", file=log.file, hint=hint)
@@ -245,7 +248,7 @@ def _without_glitches(log: RobotLog) -> RobotLog:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Files of another kind, told by what they are.
+# Files of another kind, recognised by their contents or names.
 
 RECORDING = "a recording has time and joints"
 CLOUD = "looks like a cloud of points, which `beadwise scan` reads"
@@ -261,14 +264,14 @@ _PLANNED = {"t_s", "bead", "layer", "deposit"}  # columns of trajectory.csv
 
 
 def _check_kind(file: Path) -> None:
-    """Raises InputError for a file that is of another kind by its first bytes, or its ending."""
+    """Raises InputError for a file of another kind, judged by its first bytes or its suffix."""
     if not file.is_file():
         return
     try:
         with file.open("rb") as stream:
             begins = stream.read(8)
     except OSError:
-        return  # told where the file is read
+        return  # reported when the file is read
     kind = next((kind for mark, kind in _BEGINS.items() if begins.startswith(mark)), None)
     kind = kind or _ENDINGS.get(file.suffix.lower())
     if kind is not None and begins:
@@ -276,7 +279,7 @@ def _check_kind(file: Path) -> None:
 
 
 def _other_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str | None:
-    """What a table is instead of a recording, by its first line and some more; None where it may be one."""
+    """What a table is instead of a recording, judged by its first lines; None if it may be a recording."""
     names = {re.sub(r"[^a-z_]|_?(mm|m)[])]?$", "", word.strip().lower()) for word in head}
     if names >= _PLANNED:
         return "is the trajectory of a plan, and not what a robot did"
@@ -298,7 +301,7 @@ def _other_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str | No
 def _wanted(
     words: Sequence[str], cell: Cell, wrong: Complaint
 ) -> tuple[list[LogColumn], dict[tuple[str, int], LogColumn]]:
-    """The columns of the clock, and those of joints by role and joint. InputError where one is missing or there twice."""
+    """The clock's columns, and those of joints by role and joint. InputError if one is missing or ambiguous."""
     found = [column for k, word in enumerate(words) if (column := column_of(k, word, cell)) is not None]
     clocks = [column for column in found if column.role == "time"]
     if not clocks:
@@ -315,19 +318,19 @@ def _wanted(
     n = len(cell.joint_names)
     missing = [cell.joint_names[j] for j in range(n) if ("executed", j) not in places]
     if len(missing) == n and all(("commanded", j) in places for j in range(n)):
-        raise wrong("it has what joints were told, and not where they were", hint="columns such as actual_q_0")
+        raise wrong("it has commanded joints, but not the executed ones", hint="columns such as actual_q_0")
     if missing:
         raise wrong(f"no column has {', '.join(missing)}", hint=SPELLINGS)
     told = [j for j in range(n) if ("commanded", j) in places]
     if told and len(told) < n:
         raise wrong(
-            f"commanded joints are there for {', '.join(cell.joint_names[j] for j in told)} only", hint=SPELLINGS
+            f"commanded joints are given for {', '.join(cell.joint_names[j] for j in told)} only", hint=SPELLINGS
         )
     return (split if len(split) == 2 else clocks[:1]), places
 
 
 def column_of(k: int, name: str, cell: Cell) -> LogColumn | None:
-    """What a column's name says; None for one that is neither a time nor a joint's place."""
+    """What a column's name says; None if it is neither a time nor a joint position."""
     name = name.strip().strip("\"'").strip()
     plain = name.lower()
     words = _WORD.findall(plain)
@@ -356,7 +359,7 @@ def column_of(k: int, name: str, cell: Cell) -> LogColumn | None:
 
 
 def _joints(columns: Sequence[LogColumn], cell: Cell) -> list[tuple[LogColumn, int]]:
-    """The joint of each column: by its name, or by its number, from 0 where one has that."""
+    """The joint of each column: by its name, or by its number, counted from 0 if one of them is 0."""
     from_zero = {column.role for column in columns if column.number == 0 and not column.external}
     external = _numbered_axes(max((column.number or 0 for column in columns if column.external), default=0), cell)
     out, first, own = [], cell.own.start, cell.own.stop - cell.own.start
@@ -375,8 +378,8 @@ def _joints(columns: Sequence[LogColumn], cell: Cell) -> list[tuple[LogColumn, i
 
 
 def _numbered_axes(highest: int, cell: Cell) -> Sequence[int | None]:
-    """The joints of external axes 1, 2 and so on, None of those that are held: programs, and controllers, number these too.
-    A file whose `highest` number is no more than the axes that move is taken to have these alone."""
+    """The joints of external axes 1, 2 and so on, None for those that are held: programs and controllers number these
+    too. A file whose `highest` number does not exceed the number of moving axes is assumed to have only these."""
     if highest <= len(cell.besides):
         return cell.besides
     moving = iter(cell.besides)
@@ -384,8 +387,8 @@ def _numbered_axes(highest: int, cell: Cell) -> Sequence[int | None]:
 
 
 def _named(plain: str, joints: Sequence[str], arm: int) -> int | None:
-    """The joint whose own name stands in a column's: the longest of them. Of the first `arm` joints, which are the arm's, not
-    behind positioner_, which tells a holder's axis of the same name, such as one that is held."""
+    """The joint with the longest name that the column's name contains. The first `arm` joints, which are the arm's, do
+    not match after positioner_, which marks a holder's axis of the same name, such as one that is held."""
     before = [r"(?<![a-z0-9])" + (r"(?<!positioner_)" if j < arm else "") for j in range(len(joints))]
     inside = [
         j
@@ -402,13 +405,15 @@ _AT_ROW = re.compile(r"(.*) at row ([0-9]+)")
 
 
 def _numbers(file: Path, rows: Sequence[tuple[int, str]], separator: str | None, columns: Sequence[LogColumn]) -> Array:
-    """The numbers (m, c) of the wanted columns. InputError, with the line, for what is none."""
+    """The numbers (m, c) of the wanted columns. InputError, with the line, for anything else."""
     if separator is not None:
         count = rows[0][1].count(separator)
         other = next((line for line, text in rows if text.count(separator) != count), None)
         if other is not None and '"' not in rows[0][1]:
             hint = "a decimal point, not a comma, and every line whole"
-            raise InputError("has another number of columns than the lines before", file=file, line=other, hint=hint)
+            raise InputError(
+                "has a different number of columns from the lines before", file=file, line=other, hint=hint
+            )
     try:
         table = np.loadtxt(
             [text for _, text in rows],
@@ -422,7 +427,7 @@ def _numbers(file: Path, rows: Sequence[tuple[int, str]], separator: str | None,
         found = _AT_ROW.match(str(error))
         line = rows[min(int(found[2]), len(rows) - 1)][0] if found else None
         reason = f"{found[1] if found else error}"[:120]
-        hint = "numbers with a decimal point, in every line as many as the header names"
+        hint = "numbers with a decimal point, as many in every line as in the header"
         raise InputError(reason, file=file, line=line, hint=hint) from None
     bad = ~np.isfinite(table)
     if bad.any():

@@ -1,4 +1,4 @@
-"""Lay the rest of a print on what a scan finds of it."""
+"""Plan the rest of a print on the surface that a scan has found."""
 
 from planner.base.launch import end, launch
 

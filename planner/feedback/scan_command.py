@@ -1,4 +1,4 @@
-"""What was printed corrects what is printed next: a scan of a layer's top, and the rest of the print planned on it.
+"""Corrects the rest of a print by a scan of a layer's top: the layers above are planned on the scanned surface.
 
 python -m planner.feedback.scan cylinder_logo cloud.ply --after-layer 4
 """
@@ -47,18 +47,18 @@ from planner.toolpath.as_printed import MOST_SHARE, beads_up_to
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 
-RESULTS_BY = "scan"  # whose files they are, in manifests
-WRITTEN = ("as_printed", "as_run", "name")  # of which the new problem file alone tells, whatever was set besides
-SHARE = 0.3  # of a bead's height: with it a bead holds below and is not pressed aside above
-SMOOTHED, SMOOTHED_MOST = 5.0, 15e-3  # widths of a bead, and m at most: a few cells, over which a print hardly bends
+RESULTS_BY = "scan"  # the command that owns the files, in manifests
+WRITTEN = ("as_printed", "as_run", "name")  # keys for which the new problem file counts, not earlier overrides
+SHARE = 0.3  # × a bead's height: within this, it adheres to the bead below and is not squeezed aside from above
+SMOOTHED, SMOOTHED_MOST = 5.0, 15e-3  # bead widths, but at most m: a few cells, over which a print hardly bends
 FRAMES = ("part", "plate", "world")  # of clouds
-UNTAUGHT = "what runs taught (as_run) is left out: it is of beads as they were before this scan"
-_LENGTH = 1e-3  # relative: by which the length of a plan's beads may be off that of its problem's
+UNTAUGHT = "what runs taught (as_run) is left out: it belongs to the beads as they were before this scan"
+_LENGTH = 1e-3  # relative tolerance between the lengths of a plan's beads and of its problem's
 
 
 @dataclass(frozen=True)
 class ScannedPlan:
-    """What a scan is held against: the problem without what earlier scans found, and its toolpath as drawn."""
+    """What a scan is compared with: the problem, and its toolpath as drawn, without the results of earlier scans."""
 
     problem: Problem
     toolpath: Toolpath
@@ -90,7 +90,7 @@ def _run(options: argparse.Namespace) -> int:
     table = table_of(found, heights, most, widths)
     told = [*fit_lines(fit), *lines_of(found, layer), *table, remains(found, heights, most)]
     told += [] if plan.problem.as_run is None else [UNTAUGHT]
-    print("\n".join([*told, f"map, picture and the problem of what is left: {folder / target}"]), flush=True)
+    print("\n".join([*told, f"map, picture and problem of the remaining layers: {folder / target}"]), flush=True)
     if options.map_only:
         return EXIT_VERIFIED
     kept = (each.words for each in absolute_overrides(plan.problem) if each.path[0] not in WRITTEN)
@@ -101,12 +101,12 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def radius_of(toolpath: Toolpath) -> float:
-    """Over which a map is smoothed [m], where nobody says."""
+    """Default radius over which a map is smoothed [m]."""
     return min(SMOOTHED * float(np.mean([bead.width.mean() for bead in toolpath.beads])), SMOOTHED_MOST)
 
 
 def _measured(options: argparse.Namespace, plan: ScannedPlan, radius: float) -> tuple[HeightMap, CloudFit | None]:
-    """The height map of a cloud, and how that was moved onto the planned top before, if that was asked for."""
+    """The height map of a cloud, and how the cloud was first moved onto the planned top, if requested."""
     complain = partial(InputError, file=options.cloud)
     cloud = in_part_frame(read_cloud(options.cloud, options.unit), options.frame, build_cell(plan.problem))
     top = planned_top(plan.toolpath, options.after_layer)
@@ -119,23 +119,22 @@ def _measured(options: argparse.Namespace, plan: ScannedPlan, radius: float) -> 
 
 
 def in_part_frame(points: Array, frame: str, cell: Cell) -> Array:
-    """Points (n, 3) [m] of a frame of FRAMES in the part frame: its own (the work object of programs), that of the plate
-    which carries it, or the world of a part that nothing moves. Raises InputError for the world of a part that a positioner
-    moves."""
+    """Transform points (n, 3) [m] from a frame of FRAMES to the part frame: from the part frame itself (the work object
+    of programs), from the plate that carries the part, or from the world if nothing moves the part. Raises InputError
+    for the world if a positioner moves the part."""
     if frame == "part":
         return points
     if frame == "world" and len(cell.holder):
         hint = "scan it in the frame of its plate (--frame plate), or of the part"
-        raise InputError("the world does not tell where a part is that a positioner moves", field="--frame", hint=hint)
+        raise InputError("the world frame does not locate a part that a positioner moves", field="--frame", hint=hint)
     T = cell.T_plate_part if frame == "plate" and cell.holder_robot is not None else cell.T_world_holder
     return np.asarray((points - T[:3, 3]) @ T[:3, :3])
 
 
 def scanned_plan(given: str, overrides: Sequence[str | Override] = ()) -> ScannedPlan:
-    """What a plan was made of: of a plan that was saved, of a folder of results, of a problem file or a shipped problem's
-    name.
+    """The problem and toolpath of a saved plan, a folder of results, a problem file, or a shipped problem's name.
 
-    Raises InputError where that cannot be found any more, or is not what was planned.
+    Raises InputError if the problem can no longer be found, differs from what was planned, or cannot be corrected.
     """
     path = Path(given)
     problem, plan = planned_problem(given)
@@ -146,12 +145,12 @@ def scanned_plan(given: str, overrides: Sequence[str | Override] = ()) -> Scanne
     if planned is not None and not overrides and problem.as_printed is None:
         was, now = planned.length, toolpath.length
         if abs(now - was) > _LENGTH * was:
-            reason = f"{was * 1e3:.1f} mm of beads were planned, and its problem now has {now * 1e3:.1f}"
+            reason = f"{was * 1e3:.1f} mm of beads were planned, but its problem now has {now * 1e3:.1f}"
             raise InputError(reason, file=path, hint="plan it again, or put the problem's files back as they were")
     if any(bead.round for bead in toolpath.beads):
         raise InputError("prints struts in space, which have no top that others lie on", file=given)
     if problem.process.section == "fibre":
-        raise InputError("lays fibre, which is as thick as it comes, and makes up for nothing", file=given)
+        raise InputError("lays fibre, whose thickness is fixed and makes up for nothing", file=given)
     return ScannedPlan(problem, toolpath)
 
 
@@ -163,7 +162,7 @@ def fit_lines(fit: CloudFit | None) -> list[str]:
     moved = ", ".join(f"{value:+.3f}" for value in shift)
     turned = ", ".join(f"{value:+.3f}" for value in turn)
     out = [
-        f"the cloud was moved by ({moved}) mm at its middle and turned by ({turned}) degrees; what it was off so is not in the map"
+        f"the cloud was moved by ({moved}) mm at its middle and turned by ({turned}) degrees; that offset is not in the map"
     ]
     return out + [f"not shown by this layer's top, and left as the cloud has it: {each}" for each in fit.unseen]
 

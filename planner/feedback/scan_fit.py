@@ -1,8 +1,8 @@
-"""A cloud that was scanned a little displaced, moved onto the planned top of its layer: rigid, robust, by least squares.
+"""Moves a slightly displaced cloud onto the planned top of its layer: rigid, robust, by least squares.
 
-Points find the nearest place of the top again and again (iterative closest points). What counts is how high each is above
-it, and how far beside its bead: so edges and lines tell of shifts along the layer, which heights alone do not. Weights fall
-to 0 with the residual (Tukey). Freedoms that the top does not show are left alone.
+Points are matched to the nearest point of the top repeatedly (iterative closest point). The residuals are each point's
+height above the top and its distance beside its bead: edges and lines thus show shifts along the layer, which heights
+alone do not. Weights fall to 0 with the residual (Tukey). Degrees of freedom that the top does not show are left alone.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from planner.feedback.height_map import PlannedTop, robust
 from planner.register.fitting import Placement, looked_for, rows, split, words
 
 FARTHEST, MOST_TURNED = 10e-3, np.radians(5.0)  # m and rad, beyond which a cloud is not this layer's
-_ENOUGH = 20_000  # points: more make the fit no better
-_REACH = (12e-3, 6e-3, 3e-3, 2e-3)  # m, within which points find their places, in turn
-_BESIDE = 0.75  # widths of a bead, where that is more: edges, which tell of shifts, are half a width from its middle
-_ROUNDS = 12  # for each reach
-_STILL = 1e-7  # m: a step as small as this is the last one
-_TUKEY = 4.685  # robust deviations, from which on a residual has no weight
-_LEAST = 0.03e-3  # m of robust deviation: a print is not exacter
-_FEWEST = 100  # points that must find places
-_ON_BEADS = 0.6  # share of those that must lie on beads in the end
+_ENOUGH = 20_000  # points: more do not improve the fit
+_REACH = (12e-3, 6e-3, 3e-3, 2e-3)  # m within which points are matched, one after another
+_BESIDE = 0.75  # × the bead's width, if that is more: edges, which show shifts, are half a width from its middle
+_ROUNDS = 12  # iterations for each reach
+_STILL = 1e-7  # m: a smaller step is the last one
+_TUKEY = 4.685  # robust deviations, from which a residual has no weight
+_LEAST = 0.03e-3  # m of robust deviation: no print is more exact
+_FEWEST = 100  # points that must be matched
+_ON_BEADS = 0.6  # share of matched points that must lie on beads in the end
 
 
 @dataclass(frozen=True)
 class CloudFit(ReadOnlyArrays):
-    """The cloud as it was moved: points (n, 3) [m], by shift (3) [m] of its middle and turn (3) [rad].
+    """The moved cloud: points (n, 3) [m], moved by a shift (3) [m] of its middle and a turn (3) [rad].
 
-    unseen  what the layer's top does not show, in words: it was left as the cloud has it
-    residual of the points that count: robust deviation [m]
+    unseen    freedoms that the layer's top does not show, in words: these were left unchanged
+    residual  robust deviation of the matched points [m]
     """
 
     points: Array
@@ -48,8 +48,8 @@ class CloudFit(ReadOnlyArrays):
 def fit_cloud(top: PlannedTop, cloud: Array, free: tuple[str, ...], complain: Complaint) -> CloudFit:
     """Move a cloud (n, 3) [m] onto the top of a layer in some freedoms of the part frame, as `FREEDOMS` names them.
 
-    Raises InputError, made by `complain`, where too few points are near the top, or it would take more than FARTHEST or
-    MOST_TURNED.
+    Raises InputError, made by `complain`, if too few points are near the top or on beads, if the top shows none of the
+    freedoms, or if it would take more than FARTHEST or MOST_TURNED.
     """
     tree = cKDTree(top.points)
     beside = _BESIDE * float(np.median(top.width))
@@ -66,7 +66,7 @@ def fit_cloud(top: PlannedTop, cloud: Array, free: tuple[str, ...], complain: Co
             there = np.flatnonzero(np.isfinite(away))
             if len(there) < _FEWEST:
                 raise complain(
-                    f"{len(there)} of its points are within {reach * 1e3:g} mm of the layer's top: not to be fitted"
+                    f"{len(there)} of its points are within {reach * 1e3:g} mm of the layer's top: too few to fit"
                 )
             points, near = points[there], near[there]
             residual, way = _off(top, points, near)
@@ -94,8 +94,8 @@ def fit_cloud(top: PlannedTop, cloud: Array, free: tuple[str, ...], complain: Co
 
 
 def _off(top: PlannedTop, points: Array, near: Array) -> tuple[Array, Array]:
-    """Residuals (2k) [m] of points (k, 3) at their nearest places: heights, then how far beside the beads; and the directions
-    (2k, 3) in which they grow."""
+    """Residuals (2k) [m] of points (k, 3) at their nearest places: heights, then distances beside the beads; and the
+    directions (2k, 3) in which they grow."""
     way, normal = points - top.points[near], top.normals[near]
     height = (way * normal).sum(axis=1)
     across = way - height[:, None] * normal
@@ -108,7 +108,7 @@ def _off(top: PlannedTop, points: Array, near: Array) -> tuple[Array, Array]:
 def _judged(
     placement: Placement, cloud: Array, centre: Array, unseen: tuple[str, ...], spread: float, complain: Complaint
 ) -> CloudFit:
-    """The cloud as it was moved, unless by more than may be."""
+    """The moved cloud. Raises InputError, made by `complain`, if it was moved too far."""
     T = np.linalg.inv(placement.T_plate_part)
     turn = Rotation.from_matrix(T[:3, :3]).as_rotvec()
     shift = T[:3, :3] @ centre + T[:3, 3] - centre

@@ -1,4 +1,4 @@
-"""What a scan found: the map as a table, a picture and words, and the problem of what is still to be printed."""
+"""Reports what a scan found: the map as a table, a picture and words, and the problem file of the rest of the print."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from planner.toolpath.bead import Bead, Toolpath
 MAP, PICTURE = "height_map.csv", "height_map.png"
 MORE_COLUMNS = ("smoothed_mm", "how", "points", "scatter_mm", "bead", "s_mm")
 MEASURED, INTERPOLATED = "measured", "interpolated"
-GOOD, GOOD_SHARE = 0.1e-3, 0.5  # m, and of the lowest layer's height: less is not told as left over
+GOOD, GOOD_SHARE = 0.1e-3, 0.5  # m, and × the lowest layer's height: less is not reported as left over
 _COLOURS = "RdBu_r"  # red is too high, blue too low
-_FACING = 0.3  # least cosine of all normals and their mean, from which on a map is drawn as seen from there
+_FACING = 0.3  # least cosine between all normals and their mean, for a map to be drawn as seen along it
 _GREY, _INK = "#5b6b7b", "#1b2733"
 
 
@@ -52,19 +52,19 @@ def write_map(found: HeightMap, target: Path) -> None:
 
 
 def bound_of(toolpath: Toolpath, layer: int, share: float) -> float:
-    """By how much [m] beads above a layer, counted from 1, may be made higher or lower: a share of the lowest of them."""
+    """How much [m] higher or lower beads above a layer, counted from 1, may be made: a share of the least height."""
     return share * min(float(bead.height.min()) for bead in toolpath.beads if bead.layer >= layer)
 
 
 def drawn_name(problem: Problem) -> str:
-    """A problem's name without what an earlier scan has added, such as _after_4."""
+    """A problem's name without the suffix of an earlier scan, such as _after_4."""
     return problem.name if problem.as_printed is None else re.sub(r"_after_[0-9]+$", "", problem.name)
 
 
 def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, folder: Path) -> str:
-    """The text of the problem of what is still to be printed, for the folder that the map is in.
+    """The text of the problem for the rest of the print, for the folder of the map.
 
-    What runs have taught is left out: beads above are of other lengths, and elsewhere.
+    Corrections learnt from runs are left out: the beads above have other lengths and positions.
     """
     suffix = f"_after_{layer}"
     values: dict[str, Value] = {
@@ -85,7 +85,7 @@ def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, f
 
 
 def lines_of(found: HeightMap, layer: int) -> list[str]:
-    """What the map says, in words."""
+    """What the map shows, in words."""
     deviation = found.deviation[found.measured] * 1e3
     holes, disagree = ~found.measured, (found.count < FEWEST) | (found.scatter > found.top.most_scatter)
     points = found.count[found.measured]
@@ -112,9 +112,9 @@ def lines_of(found: HeightMap, layer: int) -> list[str]:
 def table_of(
     found: HeightMap, heights: Sequence[tuple[int, float]], most: float, widths: Sequence[float] | None = None
 ) -> list[str]:
-    """By layer above the scanned one (its number from 1, and height [m]): how high its beads are, and what is left.
+    """A table by layer above the scanned one (its number from 1, and height [m]): its beads' heights, and what is left.
 
-    widths: of beads with half a circle at both sides [m], likewise; None for rectangles
+    widths: of rounded beads, with half a circle at both sides [m], by layer; None for rectangular ones
     """
     out = ["layer  beads, mm     flow, times   top left off, mm (95 %)"]
     rest = found.smoothed
@@ -131,7 +131,7 @@ def table_of(
 
 
 def _good(heights: Sequence[tuple[int, float]]) -> float:
-    """What is not told as left over [m] on layers, by their numbers and heights [m]."""
+    """The deviation [m] up to which nothing is reported as left over, from the layers' numbers and heights [m]."""
     return min([GOOD, *(GOOD_SHARE * height for _, height in heights)])
 
 
@@ -167,7 +167,7 @@ def _above(toolpath: Toolpath, layer: int) -> list[tuple[int, list[Bead]]]:
 def write_picture(
     found: HeightMap, layer: int, heights: Sequence[tuple[int, float]], most: float, target: Path
 ) -> None:
-    """Write the map and what becomes of it layer by layer as PNG. Raises OutputError."""
+    """Write the map, and the deviation left on each layer above, as PNG. Raises OutputError."""
     figure = Figure(figsize=(12.0, 5.0), dpi=120, facecolor="white", layout="constrained")
     _draw_map(figure, found, layer)
     _draw_layers(figure, found, layer, heights, most)
@@ -178,7 +178,7 @@ def write_picture(
 
 
 def _draw_map(figure: Figure, found: HeightMap, layer: int) -> None:
-    """Cells in colour by their deviation; those that were interpolated with a ring."""
+    """Cells coloured by their deviation; interpolated ones with a ring."""
     top, values = found.top, found.smoothed * 1e3
     bound = max(float(np.abs(values).max()), 0.05)
     mean = top.out.mean(axis=0)
@@ -194,14 +194,14 @@ def _draw_map(figure: Figure, found: HeightMap, layer: int) -> None:
     if flat:
         ax.set_xlabel("mm")
         ax.spines[["top", "right"]].set_visible(False)
-    ax.set_title(f"top of layer {layer}: off where it was planned (rings: interpolated)", fontsize=10, color=_INK)
+    ax.set_title(f"top of layer {layer}: deviation from the plan (rings: interpolated)", fontsize=10, color=_INK)
     figure.colorbar(dots, ax=ax, shrink=0.8, label="along the normal [mm]: red too high, blue too low")
 
 
 def _draw_layers(
     figure: Figure, found: HeightMap, layer: int, heights: Sequence[tuple[int, float]], most: float
 ) -> None:
-    """What is left of the deviation on top of each layer."""
+    """The deviation left on top of each layer."""
     ax = figure.add_subplot(1, 2, 2)
     numbers = [layer, *(number for number, _ in heights)]
     rest = [np.abs(left(found.smoothed, most, k)) * 1e3 for k in range(len(numbers))]
@@ -218,7 +218,7 @@ def _draw_layers(
 
 
 def _plane(points: Array, towards: Array) -> Array:
-    """Points (n, 3) as they are seen (n, 2) against a direction (3); from above x is to the right."""
+    """Points (n, 3) as seen (n, 2) against a direction (3); from above, x is to the right."""
     right = np.array([1.0, 0.0, 0.0]) - towards[0] * towards
     if np.linalg.norm(right) < 0.1:
         right = np.array([0.0, 1.0, 0.0]) - towards[1] * towards

@@ -1,7 +1,7 @@
 """Where along a path a recorded motion is: each sample's place, in order, however late and slow the robot is.
 
-A place is the nearest one not far ahead of the last, unless going on by about as much as the robot has moved leads to another
-that is nearly as near: so lines that lie beside each other, or to and fro on each other, are told apart.
+The place is the nearest one not far ahead of the last, unless advancing by about the robot's own motion leads to
+another that is nearly as near: this distinguishes adjacent lines, and lines that run to and fro on each other.
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ from planner.base.arrays import Array, Indices
 from planner.base.compiled import njit
 from planner.base.geometry import arc_lengths
 
-AHEAD = 25e-3  # m of path in which the next place is sought: beyond corners that a controller cuts in travel
-AHEAD_TIMES = 2.0  # the robot's own way, besides
-BACK = 0.3e-3  # m by which a place may lie before the last one: noise
-# Price of going on by more or less than the robot did, over the square of that, beside the square of the distance: 20 mm of
-# path count as 1 mm of distance.
+AHEAD = 25e-3  # m of path searched for the next place: beyond corners that a controller cuts in travel
+AHEAD_TIMES = 2.0  # × the robot's own motion, in addition
+BACK = 0.3e-3  # m by which a place may lie before the last one, because of noise
+# Weight of the squared difference between the advance along the path and the robot's own motion, compared with the
+# squared distance from the path: 20 mm of path count as 1 mm of distance.
 ASTRAY = 0.05**2
 
 
 class TrackedPath(NamedTuple):
-    """A path that a motion is held against (n points, straight between them): points (n, d) [m], of which the first three are
-    the tip's and others whatever else tells places apart, and the way (n) up to each [m]."""
+    """A path that a motion is compared with (n points, linearly interpolated): points (n, d) [m], the first three
+    coordinates being the tip's and the others whatever else distinguishes places, and the arc length (n) up to each
+    [m]."""
 
     points: Array
     way: Array
@@ -36,10 +37,10 @@ def tracked_path(points: Array) -> TrackedPath:
 
 
 def track(path: TrackedPath, samples: Array, gone: Array) -> tuple[Array, Array]:
-    """Place (m) of each sample along a path, in points of it, and its distance from there (m) [m]. Linear in both.
+    """Place (m) of each sample along a path, as a fractional index of its points, and its distance from there (m) [m].
 
-    samples (m, d) as the path's points; gone (m): how far the robot went on since the sample before [m], -inf where it is at
-    the start of the path
+    samples (m, d) like the path's points; gone (m): how far the robot moved since the previous sample [m], -inf where
+    it is at the start of the path
     """
     place, off = _track(path.points, path.way, np.ascontiguousarray(samples), gone)
     return place, off
@@ -49,8 +50,8 @@ def track(path: TrackedPath, samples: Array, gone: Array) -> tuple[Array, Array]
 def _track(points: Array, way: Array, samples: Array, gone: Array) -> Any:
     m, n, d = len(samples), len(points), points.shape[1]
     place, off = np.zeros(m), np.zeros(m)
-    at = 0.0  # the way behind the robot
-    first = 0  # segment from which on places are sought
+    at = 0.0  # arc length covered
+    first = 0  # segment from which places are searched
     for i in range(m):
         rests = gone[i] < 0.0
         while first < n - 2 and way[first + 1] < at - BACK:
@@ -86,7 +87,8 @@ def _track(points: Array, way: Array, samples: Array, gone: Array) -> Any:
 
 
 def beside(path: Array, tips: Array, segment: Indices, around: Array) -> Array:
-    """From the nearest place of a path (n, 3) to each tip (m, 3) [m], within a way of it (m) [m] around its segment (m)."""
+    """Vectors from the nearest point of a path (n, 3) to each tip (m, 3) [m], within a distance (m) [m] along the path
+    from its segment (m)."""
     return np.asarray(_beside(np.ascontiguousarray(path), np.ascontiguousarray(tips), segment.astype(np.int64), around))
 
 

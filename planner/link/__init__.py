@@ -1,1 +1,1 @@
-"""The link to the machine: programs sent to a controller and watched while they run."""
+"""The link to the machine: sends programs to a controller and monitors them while they run."""

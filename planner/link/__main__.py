@@ -1,4 +1,4 @@
-"""A program to its controller, watched while it runs."""
+"""Send a program to its controller, and monitor it while it runs."""
 
 from planner.base.launch import end, launch
 

@@ -1,4 +1,4 @@
-"""Whether files are those that a plan was verified with; those that somebody edited are played before a robot runs them."""
+"""Whether files are those a plan was verified with; edited ones are played before a robot runs them."""
 
 from __future__ import annotations
 
@@ -23,20 +23,22 @@ if TYPE_CHECKING:
 PLAN, TABLE = "plan.json", "trajectory.csv"
 LARGEST_PLAN = 256 << 20  # bytes
 EDITED = "--edited"
-WITHIN = 0.02  # of a speed or acceleration: what sampling at EGM's rate may add to a table
-ROUNDING = 1e-6  # rad or m beyond a joint's range
+WITHIN = 0.02  # relative excess of speeds and accelerations that resampling at EGM's rate may cause
+ROUNDING = 1e-6  # rad or m beyond a joint's range that count as rounding
 Say = Callable[[str], None]
 
 
 def add_edited(parser: argparse.ArgumentParser) -> None:
-    """The option of a command that runs files of results."""
+    """Add the option for running edited files to a command that runs result files."""
     parser.add_argument(
-        EDITED, metavar="YAML", help="run files that were changed since; they are played first in this problem's cell"
+        EDITED,
+        metavar="YAML",
+        help="run files even if they were changed since; they are played first in this problem's cell",
     )
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """What plan.json holds. Raises InputError where there is none, or it is none."""
+    """Read plan.json. Raises InputError if it is missing or invalid."""
     try:
         if path.stat().st_size > LARGEST_PLAN:
             raise InputError(f"larger than {LARGEST_PLAN >> 20} MB", file=path)
@@ -51,10 +53,10 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def differing(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Of the named files of a folder those that are not as they were written with its plan → how they differ.
+    """Those of the named files of a folder that are not as written with its plan → how they differ.
 
-    plan.json itself is held against the folder's manifest, where it has one. Raises InputError where there is no plan,
-    or one that does not say what was written with it.
+    plan.json itself is compared with the folder's manifest, if there is one. Raises InputError if there is no plan, or
+    one that does not state the files written with it.
     """
     path = folder / PLAN
     written = read_json(path).get("files")
@@ -75,8 +77,8 @@ def differing(folder: Path, names: Iterable[str]) -> dict[str, str]:
 def program_as_written(folder: Path, names: Iterable[str], edited: str | None, say: Say) -> None:
     """Raises InputError unless the files of a program are those that were verified, or were edited and can be played.
 
-    edited  the problem in whose cell they are played then; None if nobody said that they may differ
-    say     gets what differs, and what playing shows: where it leaves the plan, and how long it takes
+    edited  the problem in whose cell edited files are played; None if files may not differ
+    say     is called with what differs, and with the result of playing: deviation from the plan, and duration
     """
     names = list(names)
     found = differing(folder, names)
@@ -88,16 +90,16 @@ def program_as_written(folder: Path, names: Iterable[str], edited: str | None, s
 
 
 def table_as_written(folder: Path, edited: str | None, say: Say) -> Cell | None:
-    """Raises InputError unless trajectory.csv is the one that was verified, or is said to be edited: then it must keep to
-    the joints' limits of the cell that comes back, see `within_limits`."""
+    """Raises InputError unless trajectory.csv is the one that was verified, or may be edited: then returns the cell
+    whose joint limits it must keep, see `within_limits`."""
     found = differing(folder, [TABLE])
     return _may_differ(folder, found, edited, say) if found else None
 
 
 def within_limits(cell: Cell, q: Array, period: float, say: Say) -> None:
-    """Raises InputError where joints q (n, m), a row each period [s], leave the limits of a cell; says how near they come.
+    """Raises InputError if joints q (n, m), one row per period [s], exceed a cell's limits; reports how near they come.
 
-    Angles that the cell holds still are not among its joints, and are left out: q has those of the cell alone.
+    q has the cell's joints only, without axes that the cell holds still.
     """
     limits = cell.limits
     _within_range(cell, q, period * np.arange(len(q), dtype=np.float64))
@@ -114,7 +116,7 @@ def within_limits(cell: Cell, q: Array, period: float, say: Say) -> None:
 
 
 def _within_range(cell: Cell, q: Array, times: Array) -> None:
-    """Raises InputError where a joint (n, m), at times (n) [s], leaves its range."""
+    """Raises InputError if a joint (n, m), at times (n) [s], leaves its range."""
     beyond = np.maximum(cell.limits.q_min - q, q - cell.limits.q_max)
     row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
     if not beyond[row, joint] <= ROUNDING:
@@ -122,7 +124,7 @@ def _within_range(cell: Cell, q: Array, times: Array) -> None:
 
 
 def _may_differ(folder: Path, found: Mapping[str, str], edited: str | None, say: Say) -> Cell:
-    """The cell in which files that differ are played. Raises InputError if nobody said that they may."""
+    """The cell in which files that differ are played. Raises InputError if they may not differ."""
     words = "; ".join(f"{name} {how}" for name, how in found.items())
     if edited is None:
         raise InputError(
@@ -130,7 +132,7 @@ def _may_differ(folder: Path, found: Mapping[str, str], edited: str | None, say:
             file=folder,
             hint=f"solve the problem again; {EDITED} PROBLEM plays them as they are, and runs them then",
         )
-    from planner.cell.cell import build_cell  # the planner takes seconds to be imported
+    from planner.cell.cell import build_cell  # here, as importing the planner takes seconds
     from planner.problem import load_problem
 
     say(f"WARNING: not verified: {words}")
@@ -138,17 +140,17 @@ def _may_differ(folder: Path, found: Mapping[str, str], edited: str | None, say:
 
 
 def _play(program: RobotProgram, cell: Cell, folder: Path, found: Mapping[str, str], say: Say) -> None:
-    """Play a program. Raises InputError where it cannot be; says how far it is from the plan's motion, where that is
-    there as it was."""
-    from planner.export.player.play import play  # the planner takes seconds to be imported
+    """Play a program. Raises InputError if it cannot be played; reports its distance from the plan's motion, if that is
+    still as written."""
+    from planner.export.player.play import play  # here, as importing the planner takes seconds
 
     played = play(program, cell)
     if played.strays:
-        raise InputError(f"{len(played.strays)} targets name another configuration than the one the arm comes there in")
+        raise InputError(f"{len(played.strays)} targets name a configuration other than the one the arm arrives in")
     _within_range(cell, played.q, played.leave)
     say(f"played: {played.duration:.1f} s, {len(played.target)} moves, no joint beyond its range")
     if TABLE in found or differing(folder, [TABLE]):
-        say(f"{TABLE} is not the plan's any more: how far the program is from it cannot be told")
+        say(f"{TABLE} no longer belongs to the plan: how far the program is from it is unknown")
         return
     planned = np.loadtxt(folder / TABLE, delimiter=",", skiprows=1, usecols=_columns(folder / TABLE, ("x", "y", "z")))
     times = np.linspace(0.0, played.duration, max(2, 10 * len(played.target)))

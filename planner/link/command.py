@@ -1,4 +1,4 @@
-"""The command line of the link: a program to the controller, its lines to the board, both watched."""
+"""The command line of the link: a program goes to the controller, its lines to the board; both are monitored."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ from planner.link.telling import RunProgress, Show, ending, for_the_log, going_o
 # The command.
 
 PASSWORD, HEAD_PASSWORD = "BEADWISE_RWS_PASSWORD", "BEADWISE_HEAD_PASSWORD"
-SOCKET_PORT = 1025  # of the program, unless the problem says otherwise
+SOCKET_PORT = 1025  # of the program, unless the problem sets another
 BOARD_PORT = 23  # telnet
-DEMO_PACE = 20.0  # times as fast as the print
+DEMO_PACE = 20.0  # × the speed of the real print
 JOIN_TIME = 30.0  # s from the start of the program until it listens
 _PROBLEM = re.compile(r"! Problem ([A-Za-z0-9_.-]+)")
 
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _demo(options: argparse.Namespace, say: Callable[[str], None]) -> int:
-    from planner.link import demo  # the planner takes seconds to be imported
+    from planner.link import demo  # here, as importing the planner takes seconds
 
     options.program = options.program or demo.demo_program(say)
     options.secret = Secret(demo.PASSWORD)
@@ -99,7 +99,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     planned = going_on(plan, problem)
     if options.where is not None:
         outcome = outcome_of(lines, options.where)
-        # since the run the folder may have got the plan of another part
+        # the folder may have received another plan since the run
         for text in ending(lines, outcome, going_on(plan_in(options.where) or plan, problem)):
             say(text)
         return _code(outcome)
@@ -144,7 +144,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
 
 @dataclass(frozen=True)
 class _Hub:
-    """Whom a run is shown to besides the terminal: a page, if there is one; and whether somebody types at the terminal."""
+    """Where a run is shown besides the terminal: on a page, if there is one; and whether the terminal takes input."""
 
     say: Callable[[str], None]
     show: Callable[[RunProgress], None]
@@ -180,7 +180,7 @@ def _hub(
 
 @contextmanager
 def _way(options: argparse.Namespace, secret: Secret) -> Iterator[Ftp | None]:
-    """The way of the files to the controller: over FTP where that was asked for."""
+    """How files reach the controller: over FTP if requested, else None for its web services."""
     if options.upload != "ftp":
         yield None
         return
@@ -199,14 +199,14 @@ def _unload(rws: Rws, tasks: Iterable[str], say: Callable[[str], None]) -> None:
 
 
 class _Started:
-    """Whether a program that was started is somebody's care by now, or over."""
+    """Whether the run of a started program is over, so that it need not be stopped."""
 
     over = False
 
 
 @contextmanager
 def _stopping(rws: Rws, program: Address) -> Iterator[_Started]:
-    """Start the program; whatever goes wrong before it is over stops it, over the web services or its own socket."""
+    """Start the program; if anything goes wrong before it is over, stop it over the web services or its own socket."""
     started = _Started()
     try:
         start(rws)
@@ -220,7 +220,7 @@ def _stopping(rws: Rws, program: Address) -> Iterator[_Started]:
 
 
 def _turn_away(program: Address) -> None:
-    """A program that waits for the link, and cannot be stopped otherwise, ends when the link comes and goes."""
+    """End a program that waits for the link and cannot be stopped in another way, by connecting and leaving."""
     with suppress(LinkError, InputError), connect(program, "the program on the controller") as made:
         part(made, stop_words("the link has failed"), CONNECT_TIME)
 
@@ -250,7 +250,7 @@ def _problem_of(module: bytes) -> str:
 
 
 def _log_path(program: Path) -> Path:
-    """A name of its own beside the program."""
+    """A new file name next to the program."""
     return program.with_name(f"{program.stem}_{datetime.now(UTC):%Y%m%dT%H%M%SZ}.jsonl")
 
 
@@ -262,7 +262,7 @@ def link_command() -> Command:
         {
             "--demo": "print the logo on simulators of controller and board",
             "--demo --page": "the same with a page in the browser",
-            "out/my_part/MyPart.mod --controller 192.168.125.1 --head 192.168.125.5 --dry-run": "is all ready?",
+            "out/my_part/MyPart.mod --controller 192.168.125.1 --head 192.168.125.5 --dry-run": "is everything ready?",
             "out/my_part/MyPart.mod --controller 192.168.125.1 --head 192.168.125.5": "print",
             "out/my_part/MyPart.mod --where out/my_part/MyPart_20261127T181500Z.jsonl": "where did it stop?",
         },
@@ -275,28 +275,40 @@ def link_command() -> Command:
     parser.add_argument(
         "program", type=Path, nargs="?", metavar="PROGRAM.mod", help="with its table of lines beside it"
     )
-    parser.add_argument("--controller", metavar="HOST[:PORT]", help="its web services (80, or 443 for 2)")
+    parser.add_argument(
+        "--controller", metavar="HOST[:PORT]", help="its web services (default port 80, or 443 with --rws 2)"
+    )
     parser.add_argument("--head", metavar="HOST[:PORT]", help=f"the extruder's board (port {BOARD_PORT})")
-    parser.add_argument("--socket-port", type=int, default=SOCKET_PORT, metavar="PORT", help="of the program (1025)")
-    parser.add_argument("--user", default=USER, help=f"of the web services (default {USER!r})")
+    parser.add_argument(
+        "--socket-port", type=int, default=SOCKET_PORT, metavar="PORT", help="of the program's socket (default 1025)"
+    )
+    parser.add_argument("--user", default=USER, help=f"user of the web services (default {USER!r})")
     parser.add_argument("--rws", type=int, choices=sorted(DIALECTS), default=1, help="1: IRC5, 2: OmniCore (default 1)")
     parser.add_argument("--insecure", action="store_true", help="do not check the controller's certificate (2 only)")
-    parser.add_argument("--certificate", type=Path, metavar="PEM", help="to check the controller's with (2 only)")
-    parser.add_argument("--upload", choices=("rws", "ftp"), default="rws", help="way of the files (default rws)")
+    parser.add_argument(
+        "--certificate", type=Path, metavar="PEM", help="certificate to check the controller's with (2 only)"
+    )
+    parser.add_argument("--upload", choices=("rws", "ftp"), default="rws", help="how files are uploaded (default rws)")
     parser.add_argument("--ftp-port", type=int, default=FTP_PORT, metavar="PORT", help=f"of FTP (default {FTP_PORT})")
     parser.add_argument(
         "--ftp-folder", default=FTP_HOME, metavar="FOLDER", help=f"the controller's HOME there (default {FTP_HOME})"
     )
     add_edited(parser)
     parser.add_argument("--unload", action="store_true", help="unload the program when it is over")
-    parser.add_argument("--log", type=Path, metavar="FILE.jsonl", help="default: beside the program, named by the time")
     parser.add_argument(
-        "--where", type=Path, metavar="FILE.jsonl", help="only tell where a run stands by its log, and how to go on"
+        "--log", type=Path, metavar="FILE.jsonl", help="default: beside the program, named after the time"
+    )
+    parser.add_argument(
+        "--where", type=Path, metavar="FILE.jsonl", help="only report where a run stopped, by its log, and how to go on"
     )
     parser.add_argument("--cold", action="store_true", help="switch the heaters off when a run is stopped")
-    parser.add_argument("--dry-run", action="store_true", help="look whether all is ready; nothing is sent or started")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="check whether everything is ready; nothing is sent or started"
+    )
     parser.add_argument("--demo", action="store_true", help="print on simulators: PROGRAM.mod, or the logo")
-    parser.add_argument("--pace", type=float, default=DEMO_PACE, help=f"of the demo (default {DEMO_PACE:g})")
+    parser.add_argument(
+        "--pace", type=float, default=DEMO_PACE, help=f"speed of the demo, 1: real time (default {DEMO_PACE:g})"
+    )
     parser.add_argument("--page", action="store_true", help="show the run in the browser, with buttons to pause it")
     add_page_options(parser, "--page-port")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")

@@ -1,4 +1,4 @@
-"""Connections to the controller's program and to the board, and the passwords that they take."""
+"""Connections to the controller's program and to the board, and their passwords."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from planner.base.errors import EXIT_NOT_VERIFIED, InputError, PlannerError
 
 CONNECT_TIME = 5.0  # s for a connection
 PIECE = 4096  # bytes read at once
-LABEL = "[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"  # what stands between two dots of a host's name
+LABEL = "[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"  # one part of a host name, between dots
 LONGEST_HOST = 253  # characters
-# A cable that is pulled says nothing: the other end is asked every second, and is lost after three without an answer.
+# A pulled cable goes unnoticed: probe the other end every second, and give up after three probes without an answer.
 ASK_TIME, ASKED = 1, 3  # s, times
 
 
 class LinkError(PlannerError):
-    """The machine is not as a run needs it; nothing was started."""
+    """The machine is not in the state that a run needs; nothing was started."""
 
     exit_code = EXIT_NOT_VERIFIED
 
@@ -55,7 +55,7 @@ def parse_address(text: str, port: int) -> Address:
 
 
 def given_address(text: str, port: int, option: str) -> Address:
-    """The address that an option gives; InputError for what is none."""
+    """The address given by an option; InputError if it is not one."""
     try:
         return parse_address(text, port)
     except ValueError as error:
@@ -63,10 +63,10 @@ def given_address(text: str, port: int, option: str) -> Address:
 
 
 def connect(address: Address, what: str, patience: float = 0.0) -> socket.socket:
-    """A connection that notices within seconds when the other end is gone.
+    """Open a connection that notices within seconds when the other end is gone.
 
-    patience  how long to try again while nobody listens there yet [s]. Raises InputError for an unknown host, LinkError
-    where nobody answers.
+    patience  how long to retry while nobody listens there yet [s]
+    Raises InputError for an unknown host, LinkError if nobody answers.
     """
     end = time.monotonic() + patience
     while True:
@@ -89,12 +89,13 @@ def connect(address: Address, what: str, patience: float = 0.0) -> socket.socket
 
 
 # ----------------------------------------------------------------------------------------------------
-# Deadlines. A time limit of a socket counts from its last byte, so that a peer that drips holds a request for ever.
+# Deadlines. A socket's timeout restarts with each byte, so a peer that sends one now and again could hold a request for
+# ever.
 
 
 def part(made: socket.socket, words: bytes | bytearray, seconds: float) -> None:
-    """Send last words and hear the other end out, so that they arrive: what is unread when a socket closes takes them with
-    it. Returns within a time for all of it [s], whatever still comes, and where the other end is gone.
+    """Send last words and read until the other end closes, so that they arrive: closing a socket with unread data would
+    discard them. Returns within `seconds` in all, whatever still comes, or when the other end is gone.
     """
     end = time.monotonic() + seconds
     try:
@@ -106,11 +107,11 @@ def part(made: socket.socket, words: bytes | bytearray, seconds: float) -> None:
             if not made.recv(PIECE):
                 return
     except OSError:
-        return  # it is gone already
+        return  # already gone
 
 
 class Cutter:
-    """Ends what goes on over some sockets once its time is over, however often a byte still comes."""
+    """Ends all traffic on some sockets at a deadline, however often a byte still comes."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -118,7 +119,7 @@ class Cutter:
         self._late = False
 
     def watch(self, name: Hashable, made: socket.socket) -> None:
-        """Cut this one, too. It is held a second time, for TLS takes a socket away from whoever made it."""
+        """Cut this socket too. It is duplicated, as TLS takes a socket away from its owner."""
         with self._lock:
             before, self._sockets[name] = self._sockets.get(name), made.dup()
             late = self._late
@@ -128,32 +129,32 @@ class Cutter:
             self.cut()
 
     def forget(self, name: Hashable) -> None:
-        """It is closed."""
+        """Stop watching a socket, which is closed."""
         with self._lock:
             kept = self._sockets.pop(name, None)
         if kept is not None:
             kept.close()
 
     def within(self, seconds: float) -> _Within:
-        """A block in which every socket is cut once a time is over [s]; raises TimeoutError then."""
+        """A context in which every socket is cut after `seconds`; raises TimeoutError then."""
         with self._lock:
             self._late = False
         return _Within(self, seconds)
 
     @property
     def late(self) -> bool:
-        """The last block's time was over before it ended."""
+        """Whether the last context exceeded its time."""
         return self._late
 
     def cut(self) -> None:
-        """End all that goes on."""
+        """Shut down all sockets."""
         with self._lock:
             self._late = True
             for each in self._sockets.values():
                 try:
                     each.shutdown(socket.SHUT_RDWR)
                 except OSError:
-                    continue  # it is closed already
+                    continue  # already closed
 
 
 class _Within:
@@ -168,17 +169,17 @@ class _Within:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._timer.cancel()
-        # whatever was said of it, its socket was cut under it
+        # whatever the error was, its cause is the cut socket
         if self._cutter.late and (kind is None or issubclass(kind, Exception)):
             raise TimeoutError from None
 
 
 # ----------------------------------------------------------------------------------------------------
-# Passwords: from the environment or a prompt, and never shown.
+# Passwords, from the environment or a prompt; never shown.
 
 
 class Secret:
-    """Text that neither `str` nor `repr` gives away."""
+    """Text that neither `str` nor `repr` reveals."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -187,12 +188,12 @@ class Secret:
         return "Secret(…)"
 
     def reveal(self) -> str:
-        """The text, to be handed on to where it is needed and nowhere else."""
+        """The text, to be passed only to where it is needed."""
         return self._text
 
 
 def password(variable: str, whose: str) -> Secret:
-    """The password in an environment variable, or what the user types; InputError where neither can be had."""
+    """The password in an environment variable, or as the user types it; InputError if neither is available."""
     found = os.environ.get(variable)
     if found is not None:
         return Secret(found)

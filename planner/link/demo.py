@@ -1,6 +1,6 @@
 """`--demo`: a print on simulators of the controller and the board, from its problem to its last line.
 
-The only module of the link that knows of the simulators, and of them only where they listen.
+The only module of the link that knows of the simulators; it uses only the addresses on which they listen.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from planner.simulate.start import start as start_simulators
 
 PROBLEM = "cylinder_logo"
 CHANGES = ("layers.count=1", "program.style=socket")
-PASSWORD = "simulated"  # of a controller that listens on this computer only, for as long as the demo takes
+PASSWORD = "simulated"  # of a controller that listens on this computer only, while the demo lasts
 FOLDER = Path("out/demo")
 SECOND = "SecondProgram"
 
 
 def demo_program(say: Callable[[str], None]) -> Path:
-    """The demo's program, solved unless it was before; InputError where that fails."""
+    """The demo's program, solved unless it already exists; InputError if solving fails."""
     found = _found()
     if found is None:
         say(f"solving {PROBLEM} with one layer into {FOLDER}, which takes half a minute")
@@ -42,9 +42,9 @@ def demo_program(say: Callable[[str], None]) -> Path:
 
 @contextmanager
 def simulated(pace: float, version: int = 1, arms: int = 1) -> Iterator[tuple[Address, Address, Address]]:
-    """Both simulators: where the controller's web services, its program and the board listen.
+    """Run both simulators: yields the addresses of the controller's web services, its program, and the board.
 
-    The web services are strict, and another program is loaded, as on a controller that somebody uses.
+    The web services are strict, and another program is already loaded, as on a controller in use.
     """
     access = Access(password=PASSWORD, version=version)
     with start_simulators(pace=pace, access=access, in_use=True, arms=arms) as made:
@@ -52,9 +52,9 @@ def simulated(pace: float, version: int = 1, arms: int = 1) -> Iterator[tuple[Ad
 
 
 def show_steps(rws: Rws, program: Path, say: Callable[[str], None]) -> None:
-    """What a day at the controller takes, besides a print: a second run, a stop, a second program, an empty task.
+    """Try what daily use needs besides a print: a second run, a stop, a second program, an empty task.
 
-    Raises LinkError where the controller does not do one of them.
+    Raises LinkError if the controller fails at one of them.
     """
     files = program_files(program)
     quiet: Callable[[str], None] = lambda text: None  # noqa: E731
@@ -76,13 +76,13 @@ def show_steps(rws: Rws, program: Path, say: Callable[[str], None]) -> None:
 
 
 def _renamed(files: Mapping[str, bytes], stem: str) -> dict[str, bytes]:
-    """A program under another name, as a second one."""
+    """A copy of a program under another name, as a second program."""
     old, new = re.compile(rb"\b" + stem.encode() + rb"(?=\b|_\d|_Rob\d)"), SECOND.encode()
     return {name.replace(stem, SECOND): old.sub(new, data) for name, data in files.items()}
 
 
 def _found() -> Path | None:
-    """The program that is there; none where another version wrote it otherwise than the simulator reads it."""
+    """The existing program; None if there is none, it was changed, or another version wrote it unreadably."""
     tables = sorted(FOLDER.glob("*_lines.csv"))
     if not tables:
         return None

@@ -1,4 +1,4 @@
-"""Send a plan's joints to a controller by externally guided motion."""
+"""Send a plan's joint references to a controller by externally guided motion."""
 
 from planner.base.launch import end, launch
 

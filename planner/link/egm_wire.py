@@ -1,4 +1,4 @@
-"""Datagrams of externally guided motion: the states of one controller, whoever else sends, and references to it."""
+"""Datagrams of externally guided motion: states from one controller, whoever else sends, and references to it."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from planner.base.extras import missing_extra
 
 ARM_AXES = 6
 LONGEST = 4096  # bytes of a datagram
-MOST_AT_ONCE = 100  # datagrams that are looked at in one go, so that nobody who floods holds up the motion
+MOST_AT_ONCE = 100  # datagrams read in one go, so that a flood does not hold up the motion
 WAIT = 0.05  # s for a datagram
-REORDERED = 1000  # numbers by which a message may be older than the last one; one further back is of a new motion
+REORDERED = 1000  # sequence numbers by which a late message may lag; one further back starts a new motion
 
 
 @dataclass(frozen=True)
 class EgmState:
-    """A message of the controller: joints (m) [rad] as the plan orders them, whether it runs, its clock [s]."""
+    """A message from the controller: joints (m) [rad] in the plan's order, whether it runs, its clock [s]."""
 
     joints: Array
     running: bool
@@ -32,7 +32,7 @@ class EgmState:
 
 
 def egm_messages() -> ModuleType:
-    """ABB's messages. Raises InputError where the package that has them is missing."""
+    """ABB's message definitions. Raises InputError if their package is missing."""
     try:
         from abb_robot_client._egm_protobuf import egm_pb2
     except ImportError as error:
@@ -41,14 +41,14 @@ def egm_messages() -> ModuleType:
 
 
 class EgmWire:
-    """A UDP socket on which one controller is heard: whoever sends a proper message first, from `only` if that is given.
+    """A UDP socket that listens to one controller: the first to send a valid message, from `only` if that is given.
 
-    What others send, what is no message of a controller, and what was overtaken on its way, is dropped.
-    remarks   what was dropped, in words, each kind once; for the caller to take
+    Datagrams from others, invalid messages, and messages overtaken on their way are dropped.
+    remarks   what was dropped, in words, each kind once; to be taken by the caller
     """
 
     def __init__(self, here: socket.socket, messages: ModuleType, only: str | None = None) -> None:
-        """here: a bound socket; only: the controller's address in numbers."""
+        """here: a bound socket; only: the controller's numeric address."""
         self._here, self._messages, self._only = here, messages, only
         self._peer: tuple[str, int] | None = None
         self._number = self._sent = 0  # of the last message, of the last reference
@@ -57,11 +57,11 @@ class EgmWire:
 
     @property
     def port(self) -> int:
-        """Own port."""
+        """The local port."""
         return int(self._here.getsockname()[1])
 
     def newest(self) -> EgmState | None:
-        """The controller's newest message; None where none comes for a while."""
+        """The controller's newest message; None if none comes for a while."""
         found = None
         for data, address in self._datagrams():
             if address[0] != (self._only or address[0]) or address != (self._peer or address):
@@ -69,24 +69,24 @@ class EgmWire:
                 continue
             state = self._state(data)
             if state is None:
-                self._remark("{} sent what is no EGM message of a controller", address)
+                self._remark("{} sent something that is not an EGM message of a controller", address)
                 continue
             self._peer, found = address, state[0] or found
         return found
 
     def release(self) -> None:
-        """Whoever was heard is gone; the next one may be another."""
+        """Forget the controller, which is gone; the next one may be another."""
         self._peer, self._number = None, 0
 
     def send(self, reference: Array) -> None:
-        """A reference (m) [rad] to the controller that was heard."""
+        """Send a reference (m) [rad] to the controller."""
         if self._peer is None:
             return
         self._sent += 1
         try:
             self._here.sendto(self._correction(reference), self._peer)
         except ConnectionError:
-            return  # its port is closed: it will be found silent
+            return  # its port is closed: its silence will be noticed
 
     def _datagrams(self) -> Iterator[tuple[bytes, tuple[str, int]]]:
         self._here.settimeout(WAIT)
@@ -100,7 +100,7 @@ class EgmWire:
             return
 
     def _state(self, data: bytes) -> tuple[EgmState | None] | None:
-        """A controller's message, without a state where it was overtaken; None for what is no such message."""
+        """A controller's message, with None as its state if it was overtaken; None for any other datagram."""
         from google.protobuf.message import DecodeError
 
         m = self._messages
@@ -110,7 +110,7 @@ class EgmWire:
         except DecodeError:
             return None
         joints = [*message.feedBack.joints.joints, *message.feedBack.externalJoints.joints]
-        # messages to a controller have joints in the same place
+        # messages to a controller have joints in the same fields
         if not joints or message.header.mtype not in (m.EgmHeader.MSGTYPE_DATA, m.EgmHeader.MSGTYPE_UNDEFINED):
             return None
         number = message.header.seqno
@@ -142,9 +142,9 @@ class EgmWire:
 
 @contextmanager
 def egm_wire(host: str, port: int, only: str | None = None) -> Iterator[EgmWire]:
-    """A wire at an own address, to the controller at the host `only` or to any.
+    """A wire at a local address, to the controller at the host `only` or to any.
 
-    Raises InputError where the address cannot be had, for an unknown host, and where ABB's messages are missing.
+    Raises InputError if the address cannot be bound, for an unknown host, and if ABB's messages are missing.
     """
     messages = egm_messages()
     try:

@@ -1,4 +1,4 @@
-"""Lines to the extruder's board in time with a motion that this computer sends itself: for streaming and guided motion."""
+"""Sends lines to the extruder's board in time with a motion from this computer: for streaming and guided motion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from planner.link.run import LINGER_TIME, open_board
 
 
 class FeedStopped(PlannerError):
-    """The board does not go on; says why."""
+    """The board does not continue; states why."""
 
     exit_code = EXIT_NOT_VERIFIED
 
@@ -28,7 +28,7 @@ class Feed:
     """Hands lines to a board one at a time, in order, numbered and with a checksum, as the relay does (see `relay`).
 
     sent, acknowledged   lines so far
-    safe                 what makes the board safe behind those that were added
+    safe                 lines that make the board safe after those that were added
     """
 
     def __init__(self) -> None:
@@ -40,21 +40,21 @@ class Feed:
 
     @property
     def behind(self) -> int:
-        """Lines that the board has not acknowledged."""
+        """The number of lines that the board has not acknowledged."""
         return len(self._waiting) + bool(self._under_way)
 
     def add(self, gcode: str) -> None:
-        """A line is due."""
+        """Queue a line that is due."""
         self._waiting.append(gcode)
         self.safe = tuple(dict.fromkeys(self.safe + safe_behind([gcode])))
 
     def received(self, data: bytes) -> bytes:
-        """Take what the board said; what is to be sent again. Raises FeedStopped for an error, or what was not due."""
+        """Take bytes from the board; returns what to resend. Raises FeedStopped for errors and unexpected answers."""
         out = b""
         lines, garbage = self._framer.lines(data)
         for text in lines:
             message = from_board(text)
-            if isinstance(message, Trouble | Jam):  # nobody is asked to mend a jam
+            if isinstance(message, Trouble | Jam):  # there is nobody to clear a jam
                 raise FeedStopped(f"the board reports {text!r} at line {self.sent}")
             if isinstance(message, Resend):
                 out += self._again(message.n)
@@ -65,7 +65,7 @@ class Feed:
         return out
 
     def due(self, now: float) -> bytes:
-        """What is to be sent at a time [s] of a steady clock. Raises FeedStopped for an ack that is late."""
+        """What to send at a time [s] of a monotonic clock. Raises FeedStopped if an acknowledgement is late."""
         if self._under_way:
             if now > self._deadline:
                 raise FeedStopped(f"the board did not acknowledge line {self.sent} in time")
@@ -95,7 +95,7 @@ class Feed:
 
 
 class BoardFeed:
-    """A feed on its board's connection. `step` is to be called often; it never waits."""
+    """A feed on its board's connection. Call `step` often; it never waits."""
 
     def __init__(self, connection: socket.socket) -> None:
         self.feed = Feed()
@@ -103,7 +103,7 @@ class BoardFeed:
         connection.setblocking(False)
 
     def step(self) -> None:
-        """Take what came, send what is due. Raises FeedStopped."""
+        """Read what has arrived, and send what is due. Raises FeedStopped."""
         try:
             while data := self._connection.recv(PIECE):
                 self._unsent += self.feed.received(data)
@@ -128,16 +128,16 @@ class BoardFeed:
             time.sleep(0.001)
 
     def make_safe(self) -> None:
-        """What is under way is over: outputs off, the cutter's too; moves that the board has taken run dry."""
+        """End the feed: outputs off, including the cutter's; moves that the board has already taken are completed."""
         last_words = b"".join(to_board_plain(gcode) for gcode in self.feed.safe)
         part(self._connection, self._unsent + last_words, LINGER_TIME)
 
 
 @contextmanager
 def feeding(address: Address) -> Iterator[BoardFeed]:
-    """A feed for the board at an address; whatever ends the block by an exception makes it safe.
+    """A feed for the board at an address; an exception in the block makes the board safe.
 
-    Raises InputError for a wrong password or host, LinkError for a board that does not answer as one.
+    Raises InputError for a wrong password or host, LinkError if what answers is no board.
     """
     connection, _ = open_board(address)
     with connection:

@@ -1,4 +1,4 @@
-"""Files to the controller over FTP, which an IRC5 has as an option, in place of its web services."""
+"""Uploads files to the controller over FTP, an option of IRC5, in place of its web services."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from planner.base.errors import InputError
 from planner.link.connections import CONNECT_TIME, Address, Cutter, LinkError, Secret
 
 PORT = 21
-HOME = "HOME"  # below where a login stands
-QUICK = 10.0  # s for a login, or a question
+HOME = "HOME"  # relative to the login's directory
+QUICK = 10.0  # s for a login or a query
 SLOWEST_LINE = 50e3  # bytes/s
 _FOLDER = re.compile(r"[A-Za-z0-9_.:/$-]{1,200}")
 
 
 class Ftp:
-    """A session with a controller's FTP server; passwords go over the network as they are."""
+    """A session with a controller's FTP server; passwords cross the network unencrypted."""
 
     def __init__(self, address: Address, user: str, secret: Secret, folder: str = HOME) -> None:
-        """folder: the controller's HOME as FTP sees it. Raises InputError for a wrong host, user or folder, else LinkError."""
+        """folder: the controller's HOME in FTP. Raises InputError for a wrong host, user or folder, else LinkError."""
         if _FOLDER.fullmatch(folder) is None:
             raise InputError(f"{folder!r} is no folder", field="--ftp-folder")
         self._address, self._cutter = address, Cutter()
@@ -30,7 +30,7 @@ class Ftp:
         self._do(partial(self._log_in, user, secret, folder), QUICK)
 
     def upload(self, name: str, data: bytes) -> None:
-        """Put a file into the folder, and see that it has arrived whole."""
+        """Put a file into the folder, and check that it has arrived whole."""
         self._do(partial(self._store, name, data), QUICK + len(data) / SLOWEST_LINE)
 
     def close(self) -> None:
@@ -50,7 +50,7 @@ class Ftp:
         except TimeoutError:
             self._ftp.close()
             raise LinkError(f"the controller's FTP server at {self._address} does not answer in time") from None
-        except (ftplib.Error, OSError, EOFError, ValueError) as error:  # ValueError: an answer that is no text
+        except (ftplib.Error, OSError, EOFError, ValueError) as error:  # ValueError: the answer is no text
             self._ftp.close()
             raise LinkError(f"the controller's FTP server at {self._address}: {_words(error)}") from None
         except (InputError, LinkError):
@@ -76,7 +76,7 @@ class Ftp:
     def _store(self, name: str, data: bytes) -> None:
         with self._ftp.transfercmd(f"STOR {name}") as made:
             made.sendall(data)
-            made.shutdown(socket.SHUT_WR)  # closing alone ends nothing, for the socket is watched
+            made.shutdown(socket.SHUT_WR)  # closing alone would not end it, as the cutter holds a duplicate
         self._cutter.forget("data")
         self._ftp.voidresp()
         size = self._ftp.size(name)
@@ -85,14 +85,14 @@ class Ftp:
 
 
 class _WatchedFtp(ftplib.FTP):
-    """FTP whose connections, of commands and of data, are cut at a deadline."""
+    """FTP whose command and data connections are cut at a deadline."""
 
     def __init__(self, cutter: Cutter) -> None:
         self._cutter = cutter
         super().__init__()
 
     def connect(self, host: str = "", port: int = 0, timeout: float = -999, source_address=None) -> str:  # type: ignore[no-untyped-def, override]
-        """Connect, watched from before the greeting on."""
+        """Connect; the deadline applies from before the greeting."""
         self.host, self.port, self.timeout = host, port, timeout
         self.sock = socket.create_connection((host, port), timeout)
         self._cutter.watch("commands", self.sock)
@@ -102,13 +102,13 @@ class _WatchedFtp(ftplib.FTP):
         return self.welcome
 
     def ntransfercmd(self, cmd: str, rest: int | str | None = None) -> tuple[socket.socket, int | None]:
-        """A connection for data, watched."""
+        """A data connection, subject to the deadline."""
         made, size = super().ntransfercmd(cmd, rest)
         self._cutter.watch("data", made)
         return made, size
 
     def close(self) -> None:
-        """Close all, and watch nothing more."""
+        """Close both connections, and stop watching them."""
         super().close()
         for name in ("commands", "data"):
             self._cutter.forget(name)

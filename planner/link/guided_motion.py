@@ -26,15 +26,15 @@ from planner.link.program_lines import NO_BEAD
 from planner.link.telling import GoingOn, begun_words, going_on
 
 # ----------------------------------------------------------------------------------------------------
-# Limiter: however goals jump, no step goes beyond the joints' speed and acceleration.
+# Limiter: however goals jump, no step exceeds the joints' speed and acceleration.
 
-CATCHING_UP = 0.5  # share of the acceleration with which a reference that lies behind is planned to come up
+CATCHING_UP = 0.5  # share of the acceleration used for braking when a reference catches up with its goal
 
 
 class Limiter:
-    """References (m) every `period` [s]. Where goals themselves keep the limits, they come out unchanged.
+    """References (m) every `period` [s]. Goals that keep the limits themselves come out unchanged.
 
-    A goal that is ahead is caught up with as quickly as allowed, and without passing it: the speed towards it is what
+    A reference catches up with its goal as quickly as allowed, without overshooting: its speed towards the goal is what
     can still be braked. An axis whose limits are 0 never moves.
     """
 
@@ -44,15 +44,15 @@ class Limiter:
         self._velocity, self._acceleration, self._period = velocity, acceleration, period
 
     def stopped(self) -> None:
-        """The robot was left without references and stands."""
+        """The robot received no references and stands."""
         self.speed = np.zeros_like(self.speed)
 
     def next(self, goal: Array) -> Array:
-        """The reference that follows, towards a goal for the same instant."""
+        """The next reference, towards a goal for the same instant."""
         behind = self._goal - self.at
         moving = (goal - self._goal) / self._period
         brake = CATCHING_UP * self._acceleration
-        # the greatest speed from which whole steps of braking end within what is left
+        # the greatest speed from which braking in whole steps ends within the remaining distance
         tick = brake * self._period
         most = np.sqrt(0.25 * tick * tick + 2.0 * brake * np.abs(behind)) - 0.5 * tick
         closing = np.sign(behind) * np.minimum(np.abs(behind) / self._period, most)
@@ -69,10 +69,10 @@ class Limiter:
 
 PERIOD = 0.004  # s, of EGM
 MOST_EXTERNAL = 6
-COUNTS = {"controller_sign": 1.0, "controller_offset": 0.0}  # of a joint that the controller counts as the plan does
+COUNTS = {"controller_sign": 1.0, "controller_offset": 0.0}  # of a joint that the controller counts like the plan
 LARGEST_TABLE = 2 << 30  # bytes
 LONGEST_STEP = 0.02  # s between samples of a plan
-UNEVEN = 1e-6  # s by which steps of a table may differ, which is its rounding
+UNEVEN = 1e-6  # s by which steps of a table may differ because of rounding
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,8 @@ class JointPlan:
 
     q (n, m) [rad], as the controller counts them
     velocity, acceleration (m) limits [rad/s, rad/s²], 0 for an axis that is held
-    filament (n,) that the motor has pushed since the start [mm], the board's own unit; None where nobody asks for it
-    bead (n,) that is laid, or on the way to which the robot is; NO_BEAD behind the last one; None where nobody asks
+    filament (n,) pushed by the motor since the start [mm], the board's own unit; None if not needed
+    bead (n,) that is being laid, or approached in travel; NO_BEAD after the last one; None if not needed
     """
 
     q: Array
@@ -92,13 +92,13 @@ class JointPlan:
     bead: Indices | None = None
 
     def begun(self, sample: float) -> int | None:
-        """The bead, or that on whose way, the robot is at a sample; None where it is on none."""
+        """The bead that the robot lays, or approaches in travel, at a sample; None after the last, or if unknown."""
         bead = NO_BEAD if self.bead is None else int(self.bead[int(sample)])
         return None if bead == NO_BEAD else bead
 
 
 def read_plan(folder: Path) -> JointPlan:
-    """The joints of the results in a folder. Raises InputError where they are missing, damaged, or of no such arm."""
+    """Read the joints from a results folder. Raises InputError if they are missing, damaged, or of an unusable arm."""
     path = folder / PLAN
     data = read_json(path)
     try:
@@ -109,38 +109,38 @@ def read_plan(folder: Path) -> JointPlan:
         arm = [str(joint["name"]) for joint in joints if joint["moves"] == "nozzle"]
         limits = {str(joint["name"]): (float(joint["v_max"]), float(joint["a_max"])) for joint in joints}
         axes = [(str(axis["name"]), axis["held_at"]) for axis in cell["holder_axes"]]
-        second_arm = bool(cell.get("holder_is_arm", len(axes) == ARM_AXES))  # older files do not say it
-        # named as one of the arm's, an axis is told from it as columns and joints are
+        second_arm = bool(cell.get("holder_is_arm", len(axes) == ARM_AXES))  # older files do not state it
+        # an axis with the name of an arm joint gets the same prefix as its column and joint
         holder = {f"positioner_{name}" if name in arm else name: held for name, held in axes}
         held = {name: float(angle) for name, angle in holder.items() if angle is not None}
         counts = [[float(joint.get(key, usual)) for key, usual in COUNTS.items()] for joint in joints[: len(arm)]]
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"not a plan of this version: {error}", file=path, hint="solve the problem again") from error
-    if second_arm:  # whose joints are another robot's and no external axes of this one
+    if second_arm:  # its joints belong to another robot, and are no external axes of this one
         if len(held) < len(holder):
-            raise InputError("a second arm moves the part, and EGM guides one", file=path)
+            raise InputError("a second arm moves the part, but EGM guides only one", file=path)
         holder = held = {}
     if len(arm) != ARM_AXES or len(holder) > MOST_EXTERNAL:
-        raise InputError(f"EGM moves arms of {ARM_AXES} axes, with up to {MOST_EXTERNAL} more", file=path)
+        raise InputError(f"EGM guides arms of {ARM_AXES} axes, with up to {MOST_EXTERNAL} external axes", file=path)
     if any(joint.get("type") == "prismatic" for joint in data["cell"]["joints"]):
-        raise InputError("guided motion moves no axes that slide", file=path)
+        raise InputError("guided motion cannot move axes that slide", file=path)
     if any(not 0.0 < value < math.inf for pair in limits.values() for value in pair):
-        raise InputError("a limit that is no positive number", file=path)
+        raise InputError("a limit is not a positive number", file=path)
     moved, filament, bead = _table(folder / "trajectory.csv", names)
     order = [*arm, *holder]
     columns = [np.full(len(moved), held[name]) if name in held else moved[:, names.index(name)] for name in order]
     q, (sign, offset) = np.column_stack(columns), np.transpose(counts)
     q[:, :ARM_AXES] = sign * q[:, :ARM_AXES] + offset
     if not np.isfinite(q).all():
-        raise InputError("an angle that is no number", file=path)
+        raise InputError("an angle is not a number", file=path)
     both = np.array([limits.get(name, (0.0, 0.0)) for name in order])
     return JointPlan(q, both[:, 0], both[:, 1], filament, bead)
 
 
 def filament_tool(folder: Path) -> int:
-    """Number of the tool that lays all of the plan in a folder; 0 where its material has no name.
+    """Number of the tool that lays the whole plan in a folder; 0 if its material has no name.
 
-    Raises InputError where several materials are laid, or fibre is cut: the filament alone is sent, and of one tool.
+    Raises InputError if several materials are laid, or fibre is cut: only filament is sent, and only for one tool.
     """
     path = folder / PLAN
     data = read_json(path)
@@ -152,12 +152,12 @@ def filament_tool(folder: Path) -> int:
     if is_cut or len(tools) > 1:
         reason = "fibre is cut in this print" if is_cut else f"{len(tools)} materials are laid in this print"
         hint = "python -m planner.link or planner.link.stream, which give the board all of its lines"
-        raise InputError(f"{reason}, and the board gets the filament of one tool alone", field="--head", hint=hint)
+        raise InputError(f"{reason}, but the board gets the filament of one tool only", field="--head", hint=hint)
     return tools[0] if tools else 0
 
 
 def _table(path: Path, names: list[str]) -> tuple[Array, Array, Indices]:
-    """The named columns at EGM's rate (n, k), the filament (n), and the bead (n) that is laid or comes next."""
+    """The named columns at EGM's rate (n, k), the filament (n), and the current or next bead (n)."""
     try:
         if path.stat().st_size > LARGEST_TABLE:
             raise InputError(f"larger than {LARGEST_TABLE >> 20} MB", file=path)
@@ -185,7 +185,7 @@ def _table(path: Path, names: list[str]) -> tuple[Array, Array, Indices]:
 
 
 def _coming(bead: Array) -> Indices:
-    """The bead (n) that is laid at each sample, or else the one that comes next; NO_BEAD behind the last."""
+    """The bead (n) that is laid at each sample, or else the next one; NO_BEAD after the last."""
     laid = np.flatnonzero(bead != NO_BEAD)
     following = np.searchsorted(laid, np.arange(len(bead)))
     return np.asarray(np.append(bead[laid], NO_BEAD)[following], dtype=np.intp)
@@ -194,28 +194,28 @@ def _coming(bead: Array) -> Indices:
 # ----------------------------------------------------------------------------------------------------
 # The follower, without a network: states of the controller in, joint references out.
 
-NEAR_START = np.radians(1.0)  # within which the robot must stand before the first reference
-DEVIATION = np.radians(2.0)  # of the robot from all references of the last LAG
-LAG = 0.3  # s by which a robot may follow its references late
-RAMP = 0.2  # s in which the plan's own time comes to run, and to stand
-SILENCE = 0.5  # s without a word of the controller
+NEAR_START = np.radians(1.0)  # greatest distance of the robot from the plan's start before the first reference
+DEVIATION = np.radians(2.0)  # greatest deviation of the robot from all references of the last LAG
+LAG = 0.3  # s: greatest delay of the robot behind its references
+RAMP = 0.2  # s in which the plan's time accelerates to its full rate, or comes to rest
+SILENCE = 0.5  # s without a message from the controller
 SETTLED = np.radians(0.1)  # of the last reference
 STANDING = 1e-6  # rad/s
-SETTLING = 2.0  # s in which the robot must come to it
-GAP = 2.5  # periods between two words, beyond which the robot is taken to have stopped
+SETTLING = 2.0  # s in which the robot must reach the last reference
+GAP = 2.5  # periods between two messages: after more, the robot is assumed to have stopped
 
 
 class EgmStopped(PlannerError):
-    """The motion has ended before its time; says why and where."""
+    """The motion has ended early; states why and where."""
 
     exit_code = EXIT_NOT_VERIFIED
 
 
 class Follower:
-    """Answers each word of the controller with the next reference. The plan's time goes on only with the answers.
+    """Answers each message from the controller with the next reference. The plan's time advances only with the answers.
 
     sample, total   of the plan, at EGM's rate; `over` once the robot stands at the last one
-    robot           sample at which the robot itself is, which follows its references late
+    robot           sample that the robot itself has reached, as it lags behind its references
     """
 
     def __init__(self, plan: JointPlan) -> None:
@@ -228,27 +228,27 @@ class Follower:
 
     @property
     def sample(self) -> int:
-        """Sample of the plan that the references have come to."""
+        """Sample of the plan that the references have reached."""
         return int(self._place)
 
     @property
     def begun(self) -> bool:
-        """References have been sent."""
+        """Whether references have been sent."""
         return self._limiter is not None
 
     def stop(self) -> None:
-        """Come to rest on the path; `over` once the references stand, at once where none was sent."""
+        """Come to rest on the path; `over` once the references stand, or at once if none was sent."""
         self._stopping, self.over = True, not self.begun
 
     def answer(self, state: EgmState) -> Array | None:
-        """The reference (m) [rad] that answers a word; None where there is nothing to say yet.
+        """The reference (m) [rad] in answer to a message; None if there is none yet.
 
-        Raises EgmStopped where the robot is not where it should be, or has stopped.
+        Raises EgmStopped if the robot is not where it should be, or has stopped.
         """
         if len(state.joints) != self._plan.q.shape[1]:
             raise EgmStopped(f"the controller has {len(state.joints)} axes, the plan {self._plan.q.shape[1]}")
         if not np.isfinite(state.joints).all():
-            raise self._ended("the controller sent joints that are no numbers")
+            raise self._ended("the controller sent joints that are not numbers")
         if self._limiter is None:
             return self._begin(state)
         if not state.running:
@@ -283,7 +283,7 @@ class Follower:
 
     def _watch(self, joints: Array) -> None:
         sent = np.array(self._sent)
-        # the newest of the references that are nearest: where they stand, so does the robot
+        # the newest of the nearest references: if several are equal, the references stand, and so does the robot
         nearest = len(sent) - 1 - int(np.abs(sent[::-1] - joints).max(axis=1).argmin())
         self.robot = max(self.robot, self._places[nearest])
         low, high = sent.min(axis=0), sent.max(axis=0)
@@ -309,33 +309,33 @@ class Follower:
             self._settling += PERIOD
             self.over = float(np.abs(joints - self._plan.q[-1]).max()) < SETTLED
             if not self.over and self._settling > SETTLING:
-                raise self._ended("the robot does not come to the last reference")
+                raise self._ended("the robot does not reach the last reference")
 
     def _ended(self, reason: str) -> EgmStopped:
         return EgmStopped(f"{reason}, {self.sample * PERIOD:.2f} s of {(self.total - 1) * PERIOD:.2f} s into the plan")
 
 
 # ----------------------------------------------------------------------------------------------------
-# The filament, in time with the robot: short moves of the extruder, each when the robot comes to where it belongs.
+# The filament, in time with the robot: short extruder moves, each sent when the robot reaches its place.
 
-SLICE = 25  # samples of a move of the extruder: 0.1 s, so that little is left in the board's queue when the robot stops
-LEAD = 5  # samples by which a move is sent early: what network and board take
-MOST_SLICES = 5  # by which the board may lag behind
+SLICE = 25  # samples per extruder move: 0.1 s, so that little is left in the board's queue when the robot stops
+LEAD = 5  # samples by which a move is sent early, to allow for the delays of network and board
+MOST_SLICES = 5  # lines by which the board may lag behind
 LEAST = 1e-5  # mm, the last digit that is written
 
 
 class FilamentFeed:
-    """Hands a plan's filament to a feed, as the robot gets along. One extruder, which is hot."""
+    """Hands a plan's filament to a feed as the robot advances. One extruder, already hot."""
 
     def __init__(self, filament: Array, feed: Feed, tool: int = 0) -> None:
-        """filament (n,) [mm] that was pushed since the start, at EGM's rate; tool that pushes it, by its number."""
+        """filament (n,): pushed since the start [mm], at EGM's rate; tool: the number of the tool that pushes it."""
         self._filament, self._feed = filament, feed
         self._next, self._said = 0, float(filament[0])
         feed.add("M83")
-        feed.add(f"T{tool}")  # a board of RepRapFirmware without a tool refuses to extrude
+        feed.add(f"T{tool}")  # RepRapFirmware refuses to extrude without a selected tool
 
     def step(self, robot: float) -> None:
-        """The robot is at a sample. Raises FeedStopped where the board lags behind."""
+        """Feed up to the robot's sample. Raises FeedStopped if the board lags behind."""
         last = len(self._filament) - 1
         while self._next < last and self._next <= robot + LEAD:
             end = min(self._next + SLICE, last)
@@ -355,7 +355,7 @@ class FilamentFeed:
 # python -m planner.link.egm OUT_DIR
 
 HOST, PORT = "127.0.0.1", 6510  # ABB's port
-JOINING = 120.0  # s in which the controller's first word must come
+JOINING = 120.0  # s in which the controller's first message must come
 REPORT_EVERY = 0.1  # share of the plan
 BOARD_PORT = 23  # telnet
 MOST_TOOL = 99  # number of a tool, as in program.board.tools
@@ -382,7 +382,9 @@ def egm_command() -> Command:
     parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="results of planner.solve")
     parser.add_argument("--host", default=HOST, help=f"own address that the controller sends to (default {HOST})")
     parser.add_argument("--port", type=int, default=PORT, help=f"own UDP port (default {PORT})")
-    parser.add_argument("--controller", metavar="HOST", help="address that alone is heard (default: who speaks first)")
+    parser.add_argument(
+        "--controller", metavar="HOST", help="listen to this address only (default: the first that sends)"
+    )
     parser.add_argument("--head", metavar="HOST[:PORT]", help="the extruder's board, which gets the filament (port 23)")
     parser.add_argument(
         "--tool", type=_tool, metavar="N", help="number of its tool (default: that of the plan's material, or 0)"
@@ -425,10 +427,10 @@ def follow(
     tool: int = 0,
     planned: GoingOn | None = None,
 ) -> Follower:
-    """Guide the robot through the plan, and give its filament to the board's tool of this number.
+    """Guide the robot through the plan, and send its filament to the board's tool of this number.
 
-    Raises EgmStopped where it ended before. An interrupt brings the robot to rest, and so does the board's FeedStopped.
-    `say` gets which bead was begun then, and how to go on from it.
+    Raises EgmStopped if it ends early. An interrupt brings the robot to rest, and so does the board's FeedStopped.
+    `say` then reports the bead that was begun, and how to resume from it.
     """
     follower, extruder = Follower(plan), None if board is None else _Extruder(plan, board, tool)
     try:
@@ -453,7 +455,7 @@ def _guide(follower: Follower, wire: EgmWire, say: Callable[[str], None], extrud
 
 
 class _Extruder:
-    """The filament of a plan on its way to the board."""
+    """Feeds the filament of a plan to the board."""
 
     def __init__(self, plan: JointPlan, board: BoardFeed, tool: int) -> None:
         if plan.filament is None:

@@ -1,4 +1,4 @@
-"""Where a run stands by its log, when nobody was told: the link crashed, or its computer went down."""
+"""Where a run stands according to its log, if it was not reported: the link crashed, or its computer went down."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from planner.base.files import read_text
 from planner.link.program_lines import ProgramLines
 from planner.link.relay import RunOutcome
 
-LARGEST = 1_000_000_000  # bytes; three records a line
-LONGEST_PLAN = 1_000_000  # characters of the record of a plan: settings that --set gave are in it
+LARGEST = 1_000_000_000  # bytes; three records per line of the program
+LONGEST_PLAN = 1_000_000  # characters of a plan's record, which includes the overrides of --set
 UNSAID = "the log does not say why"
 
 
 def outcome_of(lines: ProgramLines, path: Path) -> RunOutcome:
-    """How the run of a program ended by its log. Its last record may be cut off, as when the power failed.
+    """How the run of a program ended, according to its log, whose last record may be truncated, as by a power failure.
 
-    Raises InputError, with the line, for what is no log of the link, and for that of another program.
+    Raises InputError, with the line, for anything but a log of the link, and for another program's log.
     """
     rows = read_text(path, LARGEST, lambda reason, hint=None: InputError(reason, file=path, hint=hint))
     received = sent = acknowledged = 0
@@ -31,7 +31,7 @@ def outcome_of(lines: ProgramLines, path: Path) -> RunOutcome:
         if record is None and at >= len(rows) - 1:
             break
         if record is None:
-            raise InputError("is no record of the link's log", file=path, line=at)
+            raise InputError("is not a record of the link's log", file=path, line=at)
         what, n, text = record
         if what == "hello" and text != lines.module:
             raise _other(f"it is of {text}, not of {lines.module}", path, at)
@@ -49,14 +49,16 @@ def outcome_of(lines: ProgramLines, path: Path) -> RunOutcome:
             reason = text
         ended = ended or what == "end"
     if not max(received, sent, acknowledged) == received or not acknowledged <= sent <= acknowledged + 1:
-        raise InputError("lines were acknowledged that were not sent", file=path, hint="it is no whole log of one run")
+        raise InputError(
+            "lines were acknowledged that were not sent", file=path, hint="it is not the complete log of one run"
+        )
     if reason is None and not (ended and acknowledged == len(lines)):
         reason = UNSAID
     return RunOutcome(reason, lines.position(acknowledged, received + (1 if ended else 0)), sent, reason is None)
 
 
 def plan_in(path: Path) -> dict[str, Any]:
-    """What the log of a run says of its plan, as plan.json had it; nothing where it does not say."""
+    """What the log of a run says of its plan, as in plan.json; empty if it says nothing."""
     try:
         with path.open(encoding="utf-8", errors="replace") as stream:
             record = _record(stream.readline(LONGEST_PLAN))
@@ -73,7 +75,7 @@ def _other(reason: str, path: Path, line: int) -> InputError:
 
 
 def _record(row: str) -> tuple[str, int, str] | None:
-    """What happened, to which line, and the words; None for what is no record."""
+    """What happened, to which line, and the text; None if the row is no record."""
     try:
         found: Any = json.loads(row)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""The words on both wires of the relay: lines of bounded length, read strictly, written in one place."""
+"""The messages on both connections of the relay: lines of bounded length, parsed strictly, written in one place."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from dataclasses import dataclass
 # ----------------------------------------------------------------------------------------------------
 # Framing: bytes from a connection → lines of bounded length.
 
-LONGEST_LINE = 256  # bytes; three times what either side may say, so anything longer is not of this protocol
+LONGEST_LINE = 256  # bytes; three times the longest message, so anything longer does not belong to this protocol
 
 _TEXT = bytes((0x09, *range(0x20, 0x7F)))
 
 
 class Garbage(ValueError):
-    """A line that is not of the protocol; `str()` tells what it was."""
+    """A line that does not belong to the protocol; `str()` describes it."""
 
 
 class Framer:
-    """Collects bytes and hands out whole lines, ASCII, without their LF or CR LF; never holds more than one line."""
+    """Collects bytes and returns whole lines of ASCII without their LF or CR LF; never holds more than one line."""
 
     def __init__(self) -> None:
         self._begun = b""
 
     def lines(self, data: bytes) -> tuple[list[str], Garbage | None]:
-        """Whole lines up to what is not of the protocol, and that, if there is any; after it nothing more may be fed."""
+        """Whole lines up to any garbage, and that garbage, after which nothing more may be fed."""
         *whole, self._begun = (self._begun + data).split(b"\n")
         out: list[str] = []
         for raw in whole:
@@ -71,7 +71,7 @@ _JAM = re.compile(
 
 @dataclass(frozen=True)
 class Hello:
-    """The program is there: its module, and how many lines it will send."""
+    """The program has connected: its module, and how many lines it will send."""
 
     module: str
     lines: int
@@ -94,7 +94,7 @@ class End:
 
 @dataclass(frozen=True)
 class Stopped:
-    """The controller has stopped by itself after line `n`."""
+    """The controller has stopped of its own accord after line `n`."""
 
     n: int
     reason: str
@@ -102,7 +102,7 @@ class Stopped:
 
 @dataclass(frozen=True)
 class Ok:
-    """The board took a line: line `n` if it says so, else the oldest one."""
+    """The board took a line: line `n` if stated, else the oldest one."""
 
     n: int | None
 
@@ -123,14 +123,14 @@ class Trouble:
 
 @dataclass(frozen=True)
 class Jam:
-    """The board's filament monitor finds that filament does not move as it should, or is used up."""
+    """The board's filament monitor reports that filament does not move as it should, or has run out."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Remark:
-    """The board says something that asks for nothing."""
+    """The board says something that requires no action."""
 
     text: str
 
@@ -140,12 +140,12 @@ BoardMessage = Ok | Resend | Trouble | Jam | Remark
 
 
 def is_gcode(text: str) -> bool:
-    """Whether the board can be sent this as a line: one code, no comment, no star, which would begin a checksum."""
+    """Whether this can be sent to the board as a line: one code, no comment, no star, which would begin a checksum."""
     return len(text) <= LONGEST_GCODE and _GCODE.fullmatch(text) is not None and not set(text) & {"*", ";"}
 
 
 def from_controller(text: str) -> ControllerMessage:
-    """What a line of the program's socket says; raises Garbage for all that is not of the protocol."""
+    """Parse a line from the program's socket; raises Garbage for anything that is not of the protocol."""
     if len(text) <= LONGEST_SAID:
         if found := _LINE.fullmatch(text):
             if is_gcode(found[2]):
@@ -160,7 +160,7 @@ def from_controller(text: str) -> ControllerMessage:
 
 
 def from_board(text: str) -> BoardMessage:
-    """What a line of the board says; what is neither ack nor error is a remark."""
+    """Parse a line from the board; anything but an acknowledgement, a resend request or an error is a remark."""
     if found := _OK.fullmatch(text):
         return Ok(None if found[1] is None else int(found[1]))
     if found := _RESEND.fullmatch(text):
@@ -173,7 +173,7 @@ def from_board(text: str) -> BoardMessage:
 
 
 def to_board(n: int, gcode: str) -> bytes:
-    """Line n as the board reads it, with number and checksum (the exclusive or of all bytes before the star)."""
+    """Line n for the board, with number and checksum (the exclusive or of all bytes before the star)."""
     line = f"N{n} {gcode}".encode("ascii")
     checksum = 0
     for byte in line:
@@ -182,20 +182,20 @@ def to_board(n: int, gcode: str) -> bytes:
 
 
 def to_board_plain(gcode: str) -> bytes:
-    """A line that is not of the program: without a number, so that it is never taken for one that is."""
+    """A line that is not part of the program: without a number, so that it is never mistaken for one that is."""
     return gcode.encode("ascii") + b"\n"
 
 
 def go(n: int) -> bytes:
-    """Answer to a hello: line n is to be the first."""
+    """Answer to a hello: start with line n."""
     return f"G {n}\n".encode("ascii")
 
 
 def acknowledged(n: int) -> bytes:
-    """The board took every line up to n."""
+    """Tell the controller that the board took every line up to n."""
     return f"A {n}\n".encode("ascii")
 
 
 def stop(reason: str) -> bytes:
-    """The controller is to stop now."""
+    """Tell the controller to stop now."""
     return ("S " + re.sub(r"[^\x20-\x7e]", "?", reason))[:LONGEST_STOP].encode("ascii") + b"\n"

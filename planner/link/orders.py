@@ -1,4 +1,4 @@
-"""What a run can be asked for, by its user or by this program itself, and what it is told of its robot."""
+"""Orders that a run takes from its user or this program, and observations of its robot."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from dataclasses import dataclass
 from planner.base.errors import nearest_name
 
 # ----------------------------------------------------------------------------------------------------
-# Orders, and what is seen of the robot.
+# Orders, and observations of the robot.
 
 
 @dataclass(frozen=True)
 class StopOrder:
-    """The run is to end."""
+    """End the run."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class PauseOrder:
-    """The robot is to stand still where it is, and the board to get no more lines."""
+    """Stop the robot where it is, and send the board no more lines."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class ReprimeOrder:
-    """The extruder is to feed a length [m] at a speed [m/s] while the robot stands."""
+    """Feed a length [m] at a speed [m/s] while the robot stands."""
 
     length: float
     speed: float
@@ -40,33 +40,33 @@ class ReprimeOrder:
 
 @dataclass(frozen=True)
 class ContinueOrder:
-    """The robot is to go on where it stands, and the board to get its next lines."""
+    """Let the robot continue from where it stands, and send the board its next lines."""
 
 
 @dataclass(frozen=True)
 class RobotStands:
-    """The robot was seen to stand, after it was told to pause."""
+    """The robot was observed to stand, after it was told to pause."""
 
 
 @dataclass(frozen=True)
 class RobotMoves:
-    """The robot was seen to go on, after it was told to."""
+    """The robot was observed to move on, after it was told to continue."""
 
 
 Order = StopOrder | PauseOrder | ReprimeOrder | ContinueOrder | RobotStands | RobotMoves
 
 # ----------------------------------------------------------------------------------------------------
-# How users ask: in words at the terminal, in JSON on the page.
+# How users give orders: in words at the terminal, in JSON on the page.
 
 PAUSE, JAM, REPRIME, CONTINUE, STOP = WORDS = ("pause", "jam", "reprime", "continue", "stop")
-JAMMED = "the user tells of a jam"
-PRIME_MM, PRIME_MM_S = 10.0, 5.0  # what is fed unless the user says otherwise
+JAMMED = "the user reports a jam"
+PRIME_MM, PRIME_MM_S = 10.0, 5.0  # length and speed of feeding by default
 LENGTHS_MM = (0.1, 500.0)
 SPEEDS_MM_S = (0.1, 50.0)
 
 
 def asked(word: str, mm: float, mm_s: float, where: str) -> Order:
-    """The order that a word stands for; where: it was given. Raises ValueError where nothing can be asked for so."""
+    """The order that a word stands for; where: the place it was given. Raises ValueError for invalid ones."""
     if word == REPRIME:
         for value, (low, high), unit in ((mm, LENGTHS_MM, "mm"), (mm_s, SPEEDS_MM_S, "mm/s")):
             if not low <= value <= high:
@@ -79,11 +79,11 @@ def asked(word: str, mm: float, mm_s: float, where: str) -> Order:
     if word == STOP:
         return StopOrder(f"stopped {where}")
     near = nearest_name(word, WORDS)
-    raise ValueError(f"{word!r} is none of {', '.join(WORDS)}" + (f": did you mean {near}?" if near else ""))
+    raise ValueError(f"{word!r} is not one of {', '.join(WORDS)}" + (f": did you mean {near}?" if near else ""))
 
 
 def order_in_words(text: str) -> tuple[str, Order]:
-    """What a line typed at the terminal asks for, such as `p`, `pause` or `reprime 20 5` (mm, mm/s): its word and order.
+    """The word and order of a line typed at the terminal, such as `p`, `pause` or `reprime 20 5` (mm, mm/s).
 
     Raises ValueError with what is wrong.
     """
@@ -100,7 +100,7 @@ def order_in_words(text: str) -> tuple[str, Order]:
 
 
 def order_in_json(body: bytes) -> tuple[str, Order] | None:
-    """What the page asks for: its word and order; None where it is nothing that can be asked for."""
+    """The word and order of a request from the page; None if it is invalid."""
     try:
         match json.loads(body):
             case {"do": "reprime", "mm": int() | float() as mm, "mm_s": int() | float() as mm_s, **rest} if not rest:
@@ -115,15 +115,15 @@ def order_in_json(body: bytes) -> tuple[str, Order] | None:
 def listen_at_terminal(
     may: Callable[[], frozenset[str]], ask: Callable[[Order], None], say: Callable[[str], None]
 ) -> None:
-    """Ask for what is typed at the terminal, from a thread of its own, as long as this program runs.
+    """Pass on orders typed at the terminal, from a separate thread, for as long as this program runs.
 
-    may: words of orders that have an effect now
+    may: returns the words of orders that have an effect now
     """
     threading.Thread(target=_read, args=(may, ask, say), name="terminal", daemon=True).start()
 
 
 def _read(may: Callable[[], frozenset[str]], ask: Callable[[Order], None], say: Callable[[str], None]) -> None:
-    # not from sys.stdin, whose lock would be held when this program ends
+    # not from sys.stdin, whose lock would still be held when this program ends
     with suppress(OSError), open(os.dup(sys.stdin.fileno()), encoding="utf-8", errors="replace") as typed:
         for line in typed:
             try:
@@ -134,4 +134,4 @@ def _read(may: Callable[[], frozenset[str]], ask: Callable[[Order], None], say: 
             if word in may():
                 ask(order)
             else:
-                say(f"{word}: not now; what can be asked for: {', '.join(sorted(may())) or 'nothing'}")
+                say(f"{word}: not possible now; possible are: {', '.join(sorted(may())) or 'nothing'}")

@@ -1,4 +1,4 @@
-"""A run as a page in the browser: what the terminal shows, and buttons for what a user can ask for."""
+"""A run as a page in the browser: what the terminal shows, and buttons for the user's orders."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from planner.link.relay import LogNote
 from planner.link.telling import RunProgress, duration
 
 # ----------------------------------------------------------------------------------------------------
-# What the page is told: one value, whole, whenever something changed.
+# The page's state: one value, sent whole whenever something changes.
 
-LINES_BEFORE, LINES_AFTER = 4, 8  # lines of the program that are shown around the one at the board
-MOST_LOGGED = 200  # entries of the log that are shown; the file has all
+LINES_BEFORE, LINES_AFTER = 4, 8  # lines of the program shown around the one at the board
+MOST_LOGGED = 200  # log entries shown; the file has all
 PREPARING, DONE, STOPPED = "preparing", "done", "stopped"
-_UNSHOWN = {"received", "sent", "acknowledged", "plan"}  # records that the lines show, or the plan itself
+_UNSHOWN = {"received", "sent", "acknowledged", "plan"}  # records already shown by the lines, and the plan itself
 _LIMITS = {"mm": PRIME_MM, "mm_s": PRIME_MM_S, "mm_limits": LENGTHS_MM, "mm_s_limits": SPEEDS_MM_S}
 
 
 @dataclass(frozen=True)
 class RunSpan:
-    """Lines of a bead or layer: the first and the last."""
+    """First and last line of a bead or layer."""
 
     first: int
     last: int
 
 
 def spans(lines: ProgramLines, of: Callable[[ProgramLine], int]) -> dict[int, RunSpan]:
-    """The lines of each bead, or each layer; those that belong to no bead are left out."""
+    """The lines of each bead, or of each layer; lines that belong to no bead are left out."""
     out: dict[int, RunSpan] = {}
     for line in lines.lines:
         if line.bead != NO_BEAD:
@@ -48,7 +48,7 @@ def spans(lines: ProgramLines, of: Callable[[ProgramLine], int]) -> dict[int, Ru
 
 
 def part_of(lines: ProgramLines, where: Mapping[int, RunSpan], key: int | None, n: int) -> dict[str, Any] | None:
-    """A bead or layer in which line n is: its number, the first and last number of the print, and its share that is over."""
+    """The bead or layer of line n: its number, the first and last number of the print, and the share that is done."""
     if key is None:
         return None
     span = where[key]
@@ -58,7 +58,7 @@ def part_of(lines: ProgramLines, where: Mapping[int, RunSpan], key: int | None, 
 
 
 def near_lines(lines: ProgramLines, received: int, sent: int, acknowledged: int) -> list[dict[str, Any]]:
-    """Lines around the one at the board, and what became of each."""
+    """Lines around the one at the board, with the state of each."""
     out = []
     for n in range(max(1, acknowledged + 1 - LINES_BEFORE), min(len(lines), acknowledged + 1 + LINES_AFTER) + 1):
         what = (
@@ -75,19 +75,19 @@ def near_lines(lines: ProgramLines, received: int, sent: int, acknowledged: int)
 
 
 # ----------------------------------------------------------------------------------------------------
-# The page, served from a thread of its own: the run does not wait for it, and goes on without it.
+# The page, served from a separate thread: the run does not wait for it, and continues without it.
 
-LAST_TIME = 0.5  # s in which pages get the last news
+LAST_TIME = 0.5  # s for pages to receive the final state
 
 
 class HubPage:
     """A run's page; its methods may be called from any thread.
 
-    ask  gets the orders of the page's buttons
+    ask  is called with the orders of the page's buttons
     """
 
     def __init__(self, lines: ProgramLines, problem: str, port: int, ask: Callable[[Order], None]) -> None:
-        """Raises InputError where the port is taken."""
+        """Raises InputError if the port is in use."""
         self._lines, self._problem, self._ask = lines, problem, ask
         self._beads, self._layers = spans(lines, lambda line: line.bead), spans(lines, lambda line: line.layer)
         self._log: deque[dict[str, Any]] = deque(maxlen=MOST_LOGGED)
@@ -103,15 +103,15 @@ class HubPage:
 
     @property
     def address(self) -> str:
-        """Lets browsers in as long as the page is there."""
+        """The address that admits browsers for as long as the page exists."""
         return self._server.address
 
     def address_once(self) -> str:
-        """Lets one browser in, for a short time from now on."""
+        """An address that admits one browser, for a short time from now."""
         return self._server.address_once()
 
     def show(self, now: RunProgress) -> None:
-        """How far the run is."""
+        """Show the progress of the run."""
         status = now.status
         bead = next((self._lines[k] for k in range(status.acknowledged, 0, -1) if self._lines[k].bead != NO_BEAD), None)
         key = (None, None) if bead is None else (bead.bead, bead.layer)
@@ -132,23 +132,23 @@ class HubPage:
         )
 
     def log(self, notes: Iterable[LogNote]) -> None:
-        """Records of the log; shown with what is told next."""
+        """Add records of the log; they are shown with the next change."""
         for note in notes:
             if note.what not in _UNSHOWN:
                 self._add(note.what, note.n, note.text)
 
     def say(self, text: str) -> None:
-        """What the terminal says, too."""
+        """Show a message of the terminal."""
         self._add("", 0, text)
         self._tell({})
 
     def end(self, verdict: str, texts: Iterable[str]) -> None:
-        """The run is over: DONE or STOPPED, and what there is to say about it."""
+        """End the run as DONE or STOPPED, with a report."""
         self._may = frozenset()
         self._tell({"state": verdict, "reason": "\n".join(texts), "may": []})
 
     def close(self) -> None:
-        """Pages get the last news, and nobody is served any more."""
+        """Send pages the final state, and stop serving."""
         with suppress(RuntimeError):  # the thread may have ended
             self._loop.call_soon_threadsafe(self._over.set)
         self._thread.join(2.0 * LAST_TIME + 1.0)
@@ -185,7 +185,7 @@ class HubPage:
 
 @contextmanager
 def hub_page(lines: ProgramLines, problem: str, port: int, ask: Callable[[Order], None]) -> Iterator[HubPage]:
-    """A page until the end of a block; it says what ended that before its time. Raises InputError where the port is taken."""
+    """A page for the duration of a block; it reports what ended that early. Raises InputError if the port is in use."""
     page = HubPage(lines, problem, port, ask)
     try:
         page.say("the page is there")

@@ -1,4 +1,4 @@
-"""The lines that a program will send, and what each belongs to: the table that is written beside the program."""
+"""The lines that a program will send, and the bead each belongs to: the table written next to the program."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planner.base.files import read_text
 from planner.link.messages import LONGEST_GCODE, MOST_LINES, is_gcode
 
 COLUMNS = "n,bead,layer,t_s,text"
-LARGEST = 100_000_000  # bytes; some two million lines
+LARGEST = 100_000_000  # bytes; about two million lines
 NO_BEAD = -1
 _WHOLE = re.compile(r"-?[0-9]{1,8}")
 
@@ -33,8 +33,8 @@ class Position:
     """How far a print has come.
 
     n               the last line that the board acknowledged; 0: none
-    bead, layer     of that line; -1 where it belongs to none
-    resume          the bead to go on from, printed anew from its start; None: all beads were printed
+    bead, layer     of that line; -1 if it belongs to none
+    resume          the bead to resume from, printed again from its start; None: all beads were printed
     """
 
     n: int
@@ -58,7 +58,7 @@ class ProgramLines:
         return self.lines[n - 1]
 
     def position(self, acknowledged: int, asked: int) -> Position:
-        """Where a print stands whose lines the board acknowledged up to one, and the controller sent up to `asked`.
+        """The position of a print, from the last line that the board acknowledged and the last that was sent (`asked`).
 
         A line is sent where its stretch begins, so a bead is done once its last line was acknowledged and a further
         one was sent.
@@ -79,7 +79,7 @@ def lines_file(program: Path) -> Path:
 
 
 def read_program_lines(program: Path) -> ProgramLines:
-    """The table beside a program, checked line by line; InputError names file, line and column of what is wrong."""
+    """Read the table next to a program, checking each line; InputError names file, line and column of any fault."""
     path = lines_file(program)
 
     def complain(reason: str, hint: str | None = None) -> InputError:
@@ -101,7 +101,7 @@ def _line(text: str, n: int, since: float, path: Path, at: int) -> ProgramLine:
     def wrong(field: str, reason: str) -> InputError:
         return InputError(reason, file=path, line=at, field=field)
 
-    row = text.split(",", 4)  # what is for the board may have commas of its own
+    row = text.split(",", 4)  # the text for the board may contain commas
     if len(row) != 5:
         raise InputError(f"{len(row)} columns, not 5", file=path, line=at)
     numbers = []

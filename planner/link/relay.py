@@ -31,28 +31,28 @@ from planner.link.program_lines import Position, ProgramLines
 # ----------------------------------------------------------------------------------------------------
 # Patience: how long the board may take over a line before it counts as lost.
 
-ACK_TIME = 5.0  # s; a board answers within milliseconds, a busy one within some tenths of a second
-HEAT_TIME = 900.0  # s; a heavy bed takes a quarter of an hour
-QUEUED = 40  # moves that RepRapFirmware keeps; a line that waits for standstill waits for all of them
-LONGEST_MOVE = 600.0  # s; a move that claims to take longer is not believed
+ACK_TIME = 5.0  # s; a board answers within milliseconds, a busy one within a few tenths of a second
+HEAT_TIME = 900.0  # s; a heavy bed takes a quarter of an hour to heat up
+QUEUED = 40  # moves in RepRapFirmware's queue; a line that waits for standstill waits for all of them
+LONGEST_MOVE = 600.0  # s; cap on the time that a move claims to take
 _WORD = re.compile(r"([A-Z])(-?[0-9]+(?:\.[0-9]*)?|-?\.[0-9]+)")
-_WAITING = {"G4", "M109", "M190", "M191", "M116", "M400"}  # answered when they are over
+_WAITING = {"G4", "M109", "M190", "M191", "M116", "M400"}  # acknowledged only when complete
 
 
 class Patience:
-    """How long each line may wait for its ack [s], by the lines that were sent before."""
+    """How long each line may wait for its acknowledgement [s], depending on the lines sent before."""
 
     def __init__(self) -> None:
-        self._feed = 0.0  # mm/min, as F was last given
+        self._feed = 0.0  # mm/min: the last F
         self._moves: deque[float] = deque(maxlen=QUEUED)
 
     @property
     def feed(self) -> float:
-        """F as it was last given [mm/min]; 0 where none was."""
+        """The last F [mm/min]; 0 if there was none."""
         return self._feed
 
     def of(self, gcode: str) -> float:
-        """The longest time to wait for the ack of the next line [s]."""
+        """The longest time to wait for the acknowledgement of the next line [s]."""
         code = gcode.split(" ", 1)[0]
         if any(command.split(" ", 1)[0] in _WAITING for command in commands_in(gcode)):
             return HEAT_TIME
@@ -61,7 +61,7 @@ class Patience:
             self._feed = words.get("F", self._feed)
             takes = 60.0 * abs(words.get("E", 0.0)) / self._feed if self._feed > 0.0 else 0.0
             self._moves.append(min(takes, LONGEST_MOVE))
-            # a full queue takes the line once its oldest move is done
+            # a full queue accepts the line once its oldest move is done
             return ACK_TIME + max(self._moves)
         return ACK_TIME + sum(self._moves)
 
@@ -73,7 +73,7 @@ class Patience:
 class RelaySide(Enum):
     """The two ends of the relay."""
 
-    __hash__ = object.__hash__  # an enumeration's own is slow, and sides are looked up for every line
+    __hash__ = object.__hash__  # an enumeration's own hash is slow, and sides are looked up for every line
 
     CONTROLLER = "controller"
     BOARD = "board"
@@ -89,7 +89,7 @@ class Write:
 
 @dataclass(frozen=True)
 class LogNote:
-    """A record for the log: what happened, to which line (0: to none), and the words."""
+    """A record for the log: what happened, to which line (0: none), and the text."""
 
     what: str
     n: int
@@ -98,27 +98,27 @@ class LogNote:
 
 @dataclass(frozen=True)
 class StopRobot:
-    """The robot is to be stopped by every other way there is, at once."""
+    """Stop the robot at once by every other means available."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class PauseRobot:
-    """The robot is to stand still where it is, and its program to keep its place; `RobotStands` is awaited."""
+    """Stop the robot where it is, with its program keeping its place; `RobotStands` is awaited."""
 
 
 @dataclass(frozen=True)
 class MoveRobot:
-    """The robot is to go on from there; `RobotMoves` is awaited."""
+    """Let the robot continue from there; `RobotMoves` is awaited."""
 
 
 @dataclass(frozen=True)
 class RunOutcome:
     """How a run ended: with all lines done (no reason), or stopped, and where the print stands.
 
-    sent  lines that went to the board; it may have carried out the last one without having said so
-    safe  the board answered all that makes it safe, or had no reason to
+    sent  lines that went to the board; it may have executed the last one without having acknowledged it
+    safe  the board acknowledged all lines that make it safe, or there were none
     """
 
     reason: str | None
@@ -133,27 +133,27 @@ Effect = Write | LogNote | StopRobot | PauseRobot | MoveRobot | RunOutcome
 # ----------------------------------------------------------------------------------------------------
 # The relay.
 #
-# A line goes to the board once, in order, one at a time: RepRapFirmware drops a line whose checksum is wrong without a
-# word and answers the next with a bare `ok`, so with several under way a lost one could not be told. Whatever is not as
-# it should be ends the run: the controller is told to stop, the board gets what makes it safe, and where the print
-# stands is part of the outcome.
+# A line goes to the board once, in order, one at a time: RepRapFirmware silently drops a line whose checksum is wrong
+# and answers the next with a bare `ok`, so with several lines under way, a lost one could not be detected. Any
+# irregularity ends the run: the controller is told to stop, the board gets the lines that make it safe, and the
+# position of the print is part of the outcome.
 
-WINDOW = 16  # lines that a controller may send ahead of what was acknowledged
-HELLO_TIME = 10.0  # s from the connection to the program's first word
-SILENCE_TIME = 60.0  # s beyond three times what the program plans between two lines, so that a slow override is borne
-HOMEWARD_TIME = 300.0  # s from the last line to the end of the program, which the table does not know
-STOP_TIME = 5.0  # s that the board has to answer what makes it safe
+WINDOW = 16  # lines that a controller may send ahead of the last acknowledged one
+HELLO_TIME = 10.0  # s from the connection to the program's first message
+SILENCE_TIME = 60.0  # s beyond three times the planned time between two lines, to tolerate a slow speed override
+HOMEWARD_TIME = 300.0  # s from the last line to the end of the program, a time that the table does not state
+STOP_TIME = 5.0  # s for the board to acknowledge the lines that make it safe
 MOST_RESENDS = 3
-MOST_REMARKS = 1000  # of the board between two acks; more is a board that has lost its mind
-SAFE = ("M106 P0 S0",)  # the cutter's output off; moves that the board has taken run dry
-FAILED = "the relay failed"  # by a mistake of its own
-COLD = ("M104 S0", "M140 S0")  # of the tool that is selected, and of the bed
+MOST_REMARKS = 1000  # from the board between two acknowledgements; more means that it is out of order
+SAFE = ("M106 P0 S0",)  # the cutter's output off; moves that the board has already taken are completed
+FAILED = "the relay failed"  # by an error of its own
+COLD = ("M104 S0", "M140 S0")  # heaters of the selected tool, and of the bed
 _SWITCHES, _HEATS = ("M42", "M106"), ("M104", "M109")
-ROBOT_TIME = 30.0  # s in which the robot must be seen to stand, or to go on; who watches it gives up before
+ROBOT_TIME = 30.0  # s in which the robot must be observed to stand, or to move on; its watcher gives up earlier
 
 
 def safe_behind(gcodes: Iterable[str], cold: bool = False) -> tuple[str, ...]:
-    """What makes the board safe behind some lines: all outputs off that they switch, with `cold` also all heaters."""
+    """Lines that make the board safe after others: all outputs off that these switch, and with `cold` all heaters."""
     outputs, heaters = dict.fromkeys(SAFE), dict.fromkeys(COLD if cold else ())
     for command in (each for gcode in gcodes if "M" in gcode for each in commands_in(gcode)):
         code, *words = command.split()
@@ -165,7 +165,7 @@ def safe_behind(gcodes: Iterable[str], cold: bool = False) -> tuple[str, ...]:
 
 
 class RelayState(Enum):
-    """What a run is at, in words."""
+    """The state of a run, in words."""
 
     HELLO = "waiting for the program"
     RUNNING = "running"
@@ -190,7 +190,7 @@ _MAY = {
 
 @dataclass(frozen=True)
 class RunStatus:
-    """Where a run is: its state and, where it is not running, why; lines; and what a user may ask for now (orders' words)."""
+    """Status of a run: its state and, if not running, why; line numbers; and the words of currently possible orders."""
 
     state: RelayState
     reason: str
@@ -201,49 +201,49 @@ class RunStatus:
 
 
 class Relay:
-    """The state of one run. Each method takes what happened and the time [s] of a steady clock, and returns effects.
+    """The state of one run. Each method takes an event and the time [s] of a monotonic clock, and returns effects.
 
-    After an Outcome nothing more is done.
+    After a RunOutcome nothing more is done.
     """
 
     def __init__(self, program: ProgramLines, now: float, cold: bool = False, attended: bool = False) -> None:
-        """cold: heaters go off where it stops; attended: somebody can continue what a jam pauses, else that stops it."""
+        """cold: heaters go off when it stops; attended: a jam only pauses the run, as somebody can continue it."""
         self._program, self._attended = program, attended
         self._safe = safe_behind((line.text for line in program.lines), cold)
         self._framers = {side: Framer() for side in RelaySide}
         self._gone: set[RelaySide] = set()
         self._state = RelayState.HELLO
-        self._waiting: deque[say.Line] = deque()  # came, and not yet sent to the board
+        self._waiting: deque[say.Line] = deque()  # received, and not yet sent to the board
         self._received = self._sent = self._acknowledged = 0
-        self._under_way = False  # the board has not answered the line that was sent last
-        self._in_doubt = False  # it was wrong since, so that an ack of that line means nothing
-        self._ended = False  # the program said that it is through
-        self._unanswered = 0  # lines beside the program's that the board has not answered: of repriming, and safe ones
+        self._under_way = False  # the board has not answered the last line sent
+        self._in_doubt = False  # an error occurred since, so an acknowledgement of that line means nothing
+        self._ended = False  # the program said that it has ended
+        self._unanswered = 0  # unanswered lines besides the program's: for repriming, and for making the board safe
         self._resends = self._remarks = 0
         self._reason: str | None = None  # why it stops, or stopped
         self._halt = ""  # why it pauses
-        self._ack_by = now  # when the line that is under way must be answered
+        self._ack_by = now  # deadline of the line under way
         self._patience = Patience()
         self.deadline = now + HELLO_TIME
 
     @property
     def acknowledged(self) -> int:
-        """The last line that the board took."""
+        """The last line that the board acknowledged."""
         return self._acknowledged
 
     @property
     def last_words(self) -> dict[RelaySide, bytes]:
-        """What stops the program and makes the board safe, whatever state the run is in."""
+        """Bytes that stop the program and make the board safe, whatever the state of the run."""
         board = b"".join(say.to_board_plain(gcode) for gcode in self._safe)
         return {RelaySide.CONTROLLER: say.stop(FAILED), RelaySide.BOARD: board}
 
     @property
     def ended(self) -> bool:
-        """The program said that it is through, so that the robot's standing still means nothing."""
+        """Whether the program said that it has ended, so that a standing robot means nothing."""
         return self._ended
 
     def received(self, side: RelaySide, data: bytes, now: float) -> list[Effect]:
-        """Bytes came from a side."""
+        """Take bytes from a side."""
         if self._deaf(side):
             return []
         out: list[Effect] = []
@@ -260,23 +260,26 @@ class Relay:
         return out
 
     def lost(self, side: RelaySide, reason: str, now: float) -> list[Effect]:
-        """A side's connection is no more."""
+        """Take note of a side's lost connection."""
         if self._deaf(side):
             return []
         self._gone.add(side)
         if side is RelaySide.CONTROLLER and self._ended and self._state is RelayState.RUNNING:
-            return [LogNote("closed", 0, side.value)]  # its part is done; the board's may not be
+            return [LogNote("closed", 0, side.value)]  # the controller is done; the board may not be
         out: list[Effect] = [LogNote("lost", 0, f"{side.value}: {reason}")]
         return out + self._stop(f"the {side.value}'s connection was lost ({reason})", now)
 
     def tick(self, now: float) -> list[Effect]:
-        """Time has passed; to be called when the deadline is over."""
+        """Take note of the time; to be called once the deadline has passed."""
         if now < self.deadline or self._state is RelayState.OVER:
             return []
         if self._state is RelayState.HELLO:
             return self._stop(f"the program said nothing for {HELLO_TIME:g} s", now)
         if self._state is RelayState.STOPPING:
-            return [LogNote("unanswered", 0, "the board did not answer what makes it safe"), *self._over()]
+            return [
+                LogNote("unanswered", 0, "the board did not acknowledge the commands that make it safe"),
+                *self._over(),
+            ]
         if self._state is RelayState.REPRIMING:
             return self._stop("the board did not acknowledge the repriming in time", now)
         if self._state in (RelayState.PAUSING, RelayState.GOING_ON):
@@ -287,11 +290,11 @@ class Relay:
         return self._stop(f"the controller sent nothing after line {self._received} in time", now)
 
     def stop(self, reason: str, now: float) -> list[Effect]:
-        """The run is to end."""
+        """End the run."""
         return [] if self._state is RelayState.OVER else self._stop(reason, now)
 
     def take(self, order: Order, now: float) -> list[Effect]:
-        """Carry out an order, or take note of the robot; what cannot be now has no effect."""
+        """Carry out an order, or take note of the robot's state; orders that are not possible now have no effect."""
         state, may = self._state, self._may
         match order:
             case StopOrder(reason):
@@ -315,7 +318,7 @@ class Relay:
 
     @property
     def status(self) -> RunStatus:
-        """Where the run is."""
+        """The status of the run."""
         reason = self._halt if self._reason is None else self._reason
         return RunStatus(self._state, reason, self._received, self._sent, self._acknowledged, frozenset(self._may))
 
@@ -331,27 +334,27 @@ class Relay:
         return [LogNote("pause", self._acknowledged, reason), PauseRobot()]
 
     def _rest(self) -> None:
-        """The robot stands: nothing is awaited but the board's answer to a line that is under way."""
+        """The robot stands: await nothing but the board's answer to a line under way."""
         self._state, self.deadline = RelayState.PAUSED, self._ack_by if self._under_way else math.inf
 
     def _reprime(self, order: ReprimeOrder, now: float) -> list[Effect]:
-        """Feed, wait for it, and give the feed rate back that the program has set."""
+        """Feed, wait for the end, and restore the feed rate that the program has set."""
         feed = self._patience.feed
         fed = f"G1 E{1e3 * order.length:.3f} F{6e4 * order.speed:.3f}"
         texts = (fed, "M400", *([f"G1 F{feed:g}"] if feed > 0.0 else []))
         for text in (fed, *texts[2:]):
             self._patience.of(text)
         self._state, self._unanswered = RelayState.REPRIMING, len(texts)
-        self.deadline = now + self._patience.of("")  # until all that moves is over
+        self.deadline = now + self._patience.of("")  # until all moves are over
         notes = [LogNote("reprime", self._acknowledged, text) for text in texts]
         return [*notes, *(Write(RelaySide.BOARD, say.to_board_plain(text)) for text in texts)]
 
     def _deaf(self, side: RelaySide) -> bool:
-        """Nothing that a side says counts any more."""
+        """Whether a side is no longer listened to."""
         return self._state is RelayState.OVER or side in self._gone
 
     def _not_understood(self, side: RelaySide, error: Garbage, now: float) -> list[Effect]:
-        """Nothing that follows garbage is listened to."""
+        """Stop, and ignore whatever follows garbage."""
         self._gone.add(side)
         return [LogNote("garbage", 0, f"{side.value}: {error}"), *self._stop(f"the {side.value} sent {error}", now)]
 
@@ -406,7 +409,7 @@ class Relay:
             return self._stop(sent, now)
         if self._state in (RelayState.PAUSED, RelayState.REPRIMING):
             return self._stop("the controller ended its program though it was paused", now)
-        self._state, self._halt = RelayState.RUNNING, ""  # a pause that was under way came too late
+        self._state, self._halt = RelayState.RUNNING, ""  # a pause under way came too late
         self._ended = True
         out: list[Effect] = [LogNote("end", end.n, "")]
         return out + (self._over() if self._acknowledged == end.n else self._pump(now))
@@ -431,7 +434,7 @@ class Relay:
         return self._ok(message.n, now)
 
     def _jam(self, text: str, now: float) -> list[Effect]:
-        """The filament does not follow, though the board takes its lines: the robot must not go on without."""
+        """The filament does not move although the board accepts its lines: the robot must not continue without it."""
         out: list[Effect] = [LogNote("jam", self._sent, text)]
         reason = f"the board reports {text!r}"
         if self._state in (RelayState.RUNNING, RelayState.GOING_ON):
@@ -456,7 +459,7 @@ class Relay:
             due = f"line {self._sent} was due" if self._under_way else "none was due"
             return self._stop(f"the board acknowledged {what} where {due}", now)
         if n is None and self._resends:
-            return self._stop(f"the board's bare ok after it asked for line {self._sent} again may be of either", now)
+            return self._stop(f"the board's bare ok after it asked for line {self._sent} again may be for either", now)
         self._under_way, self._resends = False, 0
         if self._in_doubt:
             return [LogNote("answered", self._sent, "")]
@@ -475,16 +478,16 @@ class Relay:
         return out + self._pump(now)
 
     def _again(self, n: int, now: float) -> list[Effect]:
-        """The board did not take a line, for its checksum was wrong: only then may it be sent again."""
+        """The board rejected a line because of its checksum: only then may it be resent."""
         if self._state is RelayState.STOPPING or not self._under_way or n != self._sent:
-            return self._stop(f"the board asked for line {n} again, which it was not sent last", now)
+            return self._stop(f"the board asked for line {n} again, which was not the last one sent", now)
         self._resends += 1
         if self._resends > MOST_RESENDS:
             return self._stop(f"the board asked for line {n} more than {MOST_RESENDS} times", now)
         return [LogNote("resent", n, ""), Write(RelaySide.BOARD, say.to_board(n, self._program[n].text))]
 
     def _pump(self, now: float) -> list[Effect]:
-        """The next line to the board, if it has none under way."""
+        """Send the next line to the board, if none is under way."""
         if self._under_way or not self._waiting or self._state is not RelayState.RUNNING:
             return []
         line = self._waiting.popleft()
@@ -493,7 +496,7 @@ class Relay:
         return [LogNote("sent", line.n, ""), Write(RelaySide.BOARD, say.to_board(line.n, line.gcode))]
 
     def _await_line(self, now: float) -> None:
-        """The controller's next line is due when the program plans it, or much later."""
+        """Set the deadline of the controller's next line, generously after its planned time."""
         n, total = self._received, len(self._program)
         if n == total:
             self.deadline = now + HOMEWARD_TIME

@@ -1,4 +1,4 @@
-"""The controller's part of a run: its program's files, made ready, started, watched, and stopped."""
+"""The controller's part of a run: its program's files are uploaded, started, monitored, and stopped."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from planner.link.rws import TASK, ExecutionEvents, Rws
 LARGEST_MODULE = 100_000_000  # bytes
 _LOADED = re.compile(rb'\\File:="([A-Za-z][A-Za-z0-9_]{0,31}\.mod)"')
 _HELLO = re.compile(rb'"H ([A-Za-z][A-Za-z0-9_]{0,31}) ([0-9]{1,9})\\0A"')
-# a part that an arm moves: its own module, in a task of its own
+# a part moved by a second arm, whose module runs in its own task
 _MOVER = re.compile(rb'PERS wobjdata \w+:=\[FALSE,FALSE,"(' + "|".join(TASKS).encode() + rb')"')
 _IN_PROGRAM = re.compile(rb"<Module>\s*([^<]*?)\s*</Module>")
 
 
 def program_files(program: Path) -> dict[str, bytes]:
-    """Files of a program by name: its own module first, those that it loads while it runs, and its program file; of two
-    tasks, then those of the arm that moves the part.
+    """Files of a program by name: its own module first, modules that it loads while it runs, and its program file; with
+    two tasks, followed by those of the arm that moves the part.
     """
 
     def complain(reason: str, hint: str | None = None) -> InputError:
         return InputError(reason, file=program, hint=hint)
 
     if program.suffix.lower() != ".mod":
-        raise complain("is no module of RAPID", "name the .mod that was written in style socket")
+        raise complain("is not a RAPID module", "name the .mod that was written in style socket")
     files = _task_files(program)
     for module in list(programs_of(files).values()):
         if module != program.stem:
@@ -46,7 +46,7 @@ def program_files(program: Path) -> dict[str, bytes]:
 
 
 def programs_of(files: Mapping[str, bytes]) -> dict[str, str]:
-    """Task → name of its main module, of a program's files: one task, or two where a second arm moves the part."""
+    """Task → name of its main module, from a program's files: one task, or two if a second arm moves the part."""
     name = next(iter(files))
     stem, moved = name.removesuffix(".mod"), _MOVER.search(files[name])
     if moved is None:
@@ -56,7 +56,7 @@ def programs_of(files: Mapping[str, bytes]) -> dict[str, str]:
 
 
 def _task_files(program: Path) -> dict[str, bytes]:
-    """Files of one task: its module with main first, those that it loads, and its program file."""
+    """Files of one task: its module with main first, modules that it loads, and its program file."""
 
     def complain(reason: str, hint: str | None = None) -> InputError:
         return InputError(reason, file=program, hint=hint)
@@ -74,7 +74,7 @@ def _task_files(program: Path) -> dict[str, bytes]:
 
 
 def _program_file(path: Path, module: str) -> bytes:
-    """The file that a program is loaded by: as it was written, or made for a module alone."""
+    """The file by which a program is loaded: as written, or made for a module alone."""
     if not path.is_file():
         lines = (
             '<?xml version="1.0" encoding="ISO-8859-1" ?>',
@@ -103,23 +103,23 @@ def check_together(program: Path, files: Mapping[str, bytes], lines: int) -> Non
 
 
 # ----------------------------------------------------------------------------------------------------
-# Made ready, and started.
+# Preparing and starting the program.
 
 READY = {"mode": "AUTO", "motors": "motoron"}
-START_TIME = 5.0  # s in which a program that was started must run
-LOOK_TIME = 0.1  # s between looks at that
+START_TIME = 5.0  # s in which a started program must run
+LOOK_TIME = 0.1  # s between checks of that
 
 
 class Upload(Protocol):
-    """A way of files to the controller's HOME."""
+    """A means of uploading files to the controller's HOME."""
 
     def upload(self, name: str, data: bytes) -> None:
-        """Put a file there, in place of one of that name."""
+        """Put a file there, replacing one of the same name."""
         ...
 
 
 def check_ready(rws: Rws) -> None:
-    """Raises LinkError where the robot cannot be started, or something runs."""
+    """Raises LinkError if the robot cannot be started, or a program is running."""
     found = {"mode": rws.mode(), "motors": rws.motors()}
     if found["mode"] != READY["mode"]:
         raise LinkError(f"the controller is in mode {found['mode']}, not in AUTO")
@@ -132,7 +132,7 @@ def check_ready(rws: Rws) -> None:
 def bring(rws: Rws, files: Mapping[str, bytes], say: Callable[[str], None], way: Upload | None = None) -> None:
     """Upload the files, load the program of each task in place of what is there, and set the program pointers to main.
 
-    way: of the files, where it is not the web services'.
+    way: how to upload, if not through the web services
     """
     programs = programs_of(files)
     if len(programs) > 1 and (idle := programs.keys() - rws.active()):
@@ -146,42 +146,40 @@ def bring(rws: Rws, files: Mapping[str, bytes], say: Callable[[str], None], way:
             loaded = rws.modules(task)
             if loaded != (module,):
                 there = ", ".join(loaded[:5]) or "no module"
-                raise LinkError(f"the controller was to load {module} alone into {task}, and has {there}")
+                raise LinkError(f"the controller was to load {module} alone into {task}, but has {there}")
         rws.to_main()
 
 
 def start(rws: Rws) -> None:
-    """Start the program, and see that it runs: a controller may take the request and start nothing.
+    """Start the program, and check that it runs: a controller may accept the request and start nothing.
 
-    Raises LinkError where it does not, or that cannot be told. Whoever calls this stops the robot then.
+    Raises LinkError if it does not run, or if that is unknown. The caller must then stop the robot.
     """
     rws.start()
     end = time.monotonic() + START_TIME
     while not rws.running(seconds=START_TIME):
         if time.monotonic() > end:
-            raise LinkError(f"the controller took the start, and runs nothing (motors: {rws.motors()})")
+            raise LinkError(f"the controller accepted the start, but runs nothing (motors: {rws.motors()})")
         time.sleep(LOOK_TIME)
 
 
 # ----------------------------------------------------------------------------------------------------
-# Stopped, and watched.
+# Stopping and monitoring the program.
 
-STOP_TIME = 10.0  # s that stopping may take, all attempts together
-STOPPING_TIME = 2.0  # s from the stop to a robot that stands; ABB's arms need 0.3 s
+STOP_TIME = 10.0  # s for all attempts to stop together
+STOPPING_TIME = 2.0  # s from the stop request to standstill; ABB's arms need 0.3 s
 AGAIN_TIME = 0.2  # s between attempts to stop
-WATCH_TIME = 1.0  # s between looks at whether the program still runs, where the controller does not tell
-SURE_TIME = 5.0  # s between looks where it does
-STILL = 2  # looks in a row that find it stopped, for its last words may be under way
-LOOK_LIMIT = 3.0  # s for one look
-LOST = (
-    3  # looks in a row without a right answer, after which the robot could not be stopped over the web services either
-)
+WATCH_TIME = 1.0  # s between checks that the program still runs, without a subscription
+SURE_TIME = 5.0  # s between checks with a subscription
+STILL = 2  # consecutive checks that must find it stopped, as its last messages may be under way
+LOOK_LIMIT = 3.0  # s for one check
+LOST = 3  # consecutive checks without a valid answer, after which the web services could not stop the robot either
 
 
 def stop_robot(rws: Rws) -> str | None:
-    """Stop what runs, in a session of its own, as often as it takes; in words what is wrong if it cannot be told that it stands.
+    """Stop what runs, in a new session, as often as it takes; returns what is wrong if standstill is not confirmed.
 
-    A request that fails may have been carried out or not, so the state of execution has the last word.
+    A failed request may have been carried out or not, so the state of execution is decisive.
     """
     end, wrong = time.monotonic() + STOP_TIME, "no time"
     while time.monotonic() < end:
@@ -203,53 +201,53 @@ def _stopped(rws: Rws) -> str | None:
     try:
         rws.stop()
     except (LinkError, InputError) as error:
-        refused = error  # it may stand all the same
+        refused = error  # the robot may stand all the same
     end = time.monotonic() + STOPPING_TIME
     while rws.running(STOPPING_TIME):
         if refused is not None:
             raise refused
         if time.monotonic() > end:
-            return "the controller took the stop, and goes on"
+            return "the controller accepted the stop, but goes on"
         time.sleep(LOOK_TIME)
     return None
 
 
 class RobotWatch:
-    """Watches a running program from a thread of its own, stops it, and lets it pause and go on when asked to.
+    """Watches a running program from a separate thread, stops it, and pauses and continues it on request.
 
-    The controller tells changes of its state over a subscription; where it has none, or that is lost, it is asked.
+    The controller reports changes of its state over a subscription; if it offers none, or that is lost, it is polled.
     """
 
     def __init__(self, rws: Rws, ask: Callable[[Order], None], through: Callable[[], bool]) -> None:
-        """ask: is told why the run is to end, and when the robot stands or goes on; through: the program has ended."""
+        """ask: called to stop the run, and once the robot stands or moves; through: whether the program is over."""
         self._rws, self._ask, self._through = rws, ask, through
         self._over, self._paused, self._stands = threading.Event(), threading.Event(), threading.Event()
         self._stopped: str | None = None
         self._stopper: threading.Thread | None = None
-        self._hand = ThreadPoolExecutor(1, "hand")  # one thing after the other
-        self._going_on = False  # a start is under way, or was when it was to stop
+        self._hand = ThreadPoolExecutor(1, "hand")  # one task after another
+        self._going_on = False  # a start is under way, or was when the robot was to stop
         self.subscribed = False
         self._thread = threading.Thread(target=self._watch, name="robot", daemon=True)
         self._thread.start()
 
     def stop(self, reason: str) -> None:
-        """Stop the robot, without waiting for it: neither here nor for a look that is under way."""
+        """Stop the robot without waiting for it, or for a check that is under way."""
         self._over.set()
         if self._stopper is None:
             self._stopper = threading.Thread(target=self._stop, name="stop", daemon=True)
             self._stopper.start()
 
     def pause(self) -> None:
-        """Stop the robot where it is, without waiting for it; `RobotStands` is asked for once it does."""
+        """Stop the robot where it is, without waiting for it; `RobotStands` is reported once it does."""
         self._paused.set()
         self._hand.submit(self._pause)
 
     def go_on(self) -> None:
-        """Let the program go on where it stands, without waiting for it; `RobotMoves` is asked for once it does."""
+        """Continue the program from where it stands, without waiting for it; `RobotMoves` is reported once it does."""
         self._hand.submit(self._go_on)
 
     def close(self) -> str | None:
-        """End the watch; in words what went wrong with stopping, None if nothing did."""
+        """End the watch; returns what went wrong with stopping, or None."""
         self._over.set()
         if self._stopper is not None:
             self._stopper.join(STOP_TIME + STOPPING_TIME)
@@ -268,7 +266,7 @@ class RobotWatch:
     def _pause(self) -> None:
         if self._over.is_set():
             return
-        self._paused.set()  # once more: it may have been going on when it was asked to pause
+        self._paused.set()  # again, as it may have been continuing when the pause was requested
         wrong = stop_robot(self._rws)
         if wrong is None:
             self._stands.set()
@@ -304,7 +302,7 @@ class RobotWatch:
         try:
             events = rws.subscribe()
         except (LinkError, InputError):
-            return None  # asking does, too
+            return None  # polling works too
         self.subscribed = True
         return events
 

@@ -35,15 +35,15 @@ from planner.link.relay import (
 )
 
 # ----------------------------------------------------------------------------------------------------
-# The log: one JSON object a line, written at once.
+# The log: one JSON object per line, written at once.
 
 
 class Log:
-    """Records with UTC and a steady clock [ms]. Each is with the system before anything follows from it, so that a crash
-    of this program loses none; `close` waits until they are on the disk.
+    """Records with UTC and a monotonic clock [ms]. Each is passed to the operating system before it takes effect, so
+    that a crash of this program loses none; `close` waits until they are on the disk.
 
-    first what it begins with
-    seen  gets the same records, once they are written
+    first  records to begin with
+    seen   is called with the same records, once they are written
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Log:
         seen: Callable[[Sequence[LogNote]], None] = lambda notes: None,
         first: Sequence[LogNote] = (),
     ) -> None:
-        """Raises OutputError where there is such a file already, or none can be written."""
+        """Raises OutputError if the file already exists, or cannot be written."""
         self.path, self._seen = path, seen
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
@@ -62,15 +62,15 @@ class Log:
             raise OutputError(f"cannot write {path}: {error.strerror}") from None
         try:
             self.write(first)
-        except OSError as error:  # a disk that is full still takes its name
+        except OSError as error:  # a full disk still creates the file
             os.close(self._file)
             path.unlink(missing_ok=True)
             raise OutputError(f"cannot write {path}: {error.strerror}") from None
 
     def write(self, notes: Sequence[LogNote]) -> None:
-        """Append records; OSError where the disk does not take them."""
+        """Append records; OSError if they cannot be written."""
         now, clock = datetime.now(UTC).isoformat(timespec="milliseconds"), round(1e3 * time.monotonic(), 3)
-        begin = f'{{"utc": "{now}", "ms": {clock}, '  # by hand, for a line of the program makes three records
+        begin = f'{{"utc": "{now}", "ms": {clock}, '  # by hand for speed: each line of the program makes three records
         texts = [f'{begin}"what": "{note.what}", "n": {note.n}, "text": {json.dumps(note.text)}}}\n' for note in notes]
         left = memoryview("".join(texts).encode("ascii"))
         while left:
@@ -78,28 +78,26 @@ class Log:
         self._seen(notes)
 
     def close(self) -> None:
-        """Nothing more is written."""
+        """Flush to the disk, and close."""
         os.fsync(self._file)
         os.close(self._file)
 
 
 # ----------------------------------------------------------------------------------------------------
-# The greeting of the board: RepRapFirmware's telnet.
+# The board's greeting, over RepRapFirmware's telnet.
 
 PASSWORD = "BEADWISE_HEAD_PASSWORD"
-SETTLE_TIME = (
-    0.7  # s; what comes in the first moments is discarded by the board, and a password is asked for after them
-)
+SETTLE_TIME = 0.7  # s; the board discards what arrives in the first moments, and then requests a password if it has one
 ANSWER_TIME = 5.0  # s
-QUIET_TIME = 0.1  # s without a word, after which the board has said all
-PROBE = "M115"  # which firmware it has
+QUIET_TIME = 0.1  # s of silence, after which the board's answer is complete
+PROBE = "M115"  # queries the firmware
 MOST_READ = 16 * 1024  # bytes of greeting
 
 
 def open_board(address: Address) -> tuple[socket.socket, list[str]]:
     """A connection to a board that answers, and its greeting.
 
-    Raises InputError for a wrong password or host, LinkError for a board that does not answer as one.
+    Raises InputError for a wrong password or host, LinkError if what answers is no board.
     """
     with ExitStack() as unless_agreed:
         made = unless_agreed.enter_context(connect(address, "the board"))
@@ -140,7 +138,7 @@ def _agree(made: socket.socket, address: Address) -> list[str]:
 
 
 def _read(made: socket.socket, seconds: float, until: bytes | None = None) -> bytes:
-    """What comes within a time, or until a byte that ends it."""
+    """Read for some time, or until a given byte arrives."""
     out, end = b"", time.monotonic() + seconds
     while len(out) < MOST_READ and (left := end - time.monotonic()) > 0.0:
         made.settimeout(left)
@@ -160,8 +158,8 @@ def _read(made: socket.socket, seconds: float, until: bytes | None = None) -> by
 # The run: the relay on two sockets.
 
 MOST_UNREAD = 4096  # bytes that a side may leave unread before it counts as lost
-LINGER_TIME = 1.0  # s that the last words have to arrive
-LOOK_TIME = 0.25  # s between looks at the progress
+LINGER_TIME = 1.0  # s for the last words to arrive
+LOOK_TIME = 0.25  # s between updates of the progress
 INTERRUPTIONS = {  # names of signals → why they end the run
     "SIGINT": "interrupted from the keyboard",
     "SIGTERM": "this program was told to end",
@@ -170,7 +168,7 @@ INTERRUPTIONS = {  # names of signals → why they end the run
 
 
 class Requests:
-    """Orders that come from other threads and from signals; they wake whoever waits for the sockets."""
+    """Orders from other threads and from signals; they wake the thread that waits on the sockets."""
 
     def __init__(self) -> None:
         self._orders: deque[Order] = deque()
@@ -179,15 +177,15 @@ class Requests:
         self._wake.setblocking(False)
 
     def ask(self, order: Order) -> None:
-        """The run is to be told."""
+        """Queue an order for the run."""
         self._orders.append(order)
         try:
             self._wake.send(b"!")
         except OSError:
-            return  # it is awake, or over
+            return  # the run is already awake, or over
 
     def taken(self) -> list[Order]:
-        """What was asked for since."""
+        """The orders queued since the last call."""
         try:
             self.waker.recv(PIECE)
         except BlockingIOError:
@@ -195,14 +193,14 @@ class Requests:
         return [self._orders.popleft() for _ in range(len(self._orders))]
 
     def close(self) -> None:
-        """Nobody listens any more."""
+        """Close both ends; nobody listens any more."""
         self.waker.close()
         self._wake.close()
 
 
 @contextmanager
 def signals_as(requests: Requests) -> Iterator[None]:
-    """Ctrl-C, and what else asks this program to end, become requests to stop, so that nothing is cut off halfway."""
+    """Turn Ctrl-C and other termination signals into stop orders, so that nothing is cut off halfway."""
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread may set signal handlers
         return
@@ -219,22 +217,22 @@ def signals_as(requests: Requests) -> Iterator[None]:
 
 
 class RobotHand(Protocol):
-    """What moves the robot on another way than the program's socket, without waiting for it here."""
+    """Stops and starts the robot by other means than the program's socket, without waiting."""
 
     def stop(self, reason: str) -> None:
-        """Stop it for good."""
+        """Stop the robot for good."""
 
     def pause(self) -> None:
-        """Stop it so that it can go on."""
+        """Stop the robot so that it can continue."""
 
     def go_on(self) -> None:
-        """Let it go on."""
+        """Let the robot continue."""
 
 
 class RelayRun:
     """A relay on its two sockets.
 
-    show  gets where the run is, a few times a second and whenever its state has changed
+    show  is called with the run's status, a few times a second and whenever its state has changed
     """
 
     def __init__(
@@ -249,17 +247,17 @@ class RelayRun:
         self._relay, self._sockets, self._requests, self._log = relay, dict(sockets), requests, log
         self._robot, self._show = robot, show
         self._unsent = {side: bytearray() for side in RelaySide}
-        self._lost: deque[tuple[RelaySide, str]] = deque()  # to be told to the relay
+        self._lost: deque[tuple[RelaySide, str]] = deque()  # to be reported to the relay
         self._outcome: RunOutcome | None = None
         self._log_works = True
-        self._changed = False  # a socket is closed, or has or had no room for what is to be sent
+        self._changed = False  # a socket was closed, or has or had unsent bytes
 
     def run(self) -> RunOutcome:
-        """Relay until the run is over, one way or the other; the sockets are closed then."""
+        """Relay until the run is over, one way or the other; then the sockets are closed."""
         try:
             return self._run()
         finally:
-            if self._outcome is None:  # by a mistake of this program's own: the machine must not go on without it
+            if self._outcome is None:  # by an error of this program: the machine must not continue without it
                 self._abandon()
 
     def _abandon(self) -> None:
@@ -322,7 +320,7 @@ class RelayRun:
     def _carry_out(self, effects: list[Effect]) -> None:
         notes = [effect for effect in effects if isinstance(effect, LogNote)]
         if notes:
-            self._write_log(notes)  # before it happens, so that nothing happens without a record
+            self._write_log(notes)  # first, so that nothing happens without a record
         for effect in effects:
             if isinstance(effect, Write):
                 self._unsent[effect.side] += effect.data
@@ -344,7 +342,7 @@ class RelayRun:
         try:
             self._log.write(notes)
         except OSError as error:
-            self._log_works = False  # first, for stopping is noted, too
+            self._log_works = False  # first, as stopping is logged too
             self._requests.ask(StopOrder(f"the log cannot be written: {error.strerror}"))
 
     def _flush(self, side: RelaySide) -> None:
@@ -371,7 +369,7 @@ class RelayRun:
             self._lost.append((side, reason))
 
     def _watch(self, selector: selectors.BaseSelector) -> None:
-        """Look out for room to write only where something waits to be written, and forget closed sockets."""
+        """Select for writing only where bytes are unsent, and unregister closed sockets."""
         for key in list(selector.get_map().values()):
             if key.data is None:
                 continue

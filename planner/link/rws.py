@@ -1,6 +1,6 @@
-"""Robot Web Services of ABB's controllers, 1.0 and 2.0: what a client needs that brings a program and runs it.
+"""Robot Web Services of ABB's controllers, 1.0 and 2.0: what a client needs to upload a program and run it.
 
-Paths and fields are those of ABB's references (developercenter.robotstudio.com: api/rwsApi for 1.0, api/RWS for 2.0).
+Paths and fields follow ABB's references (developercenter.robotstudio.com: api/rwsApi for 1.0, api/RWS for 2.0).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from planner.base.extras import missing_extra
 from planner.link.connections import Address, Cutter, LinkError, Secret, connect
 
 # ----------------------------------------------------------------------------------------------------
-# What the versions say differently: 1.0 of IRC5 (RobotWare 6), 2.0 of OmniCore (RobotWare 7).
+# Differences between the versions: 1.0 of IRC5 (RobotWare 6), 2.0 of OmniCore (RobotWare 7).
 
 TASK = "T_ROB1"
 USER = "Default User"  # on every new controller
@@ -33,26 +33,26 @@ START = {
     "stopatbp": "disabled",
     "alltaskbytsp": "false",
 }
-EXECUTION = "/rw/rapid/execution;ctrlexecstate"  # what is subscribed to
+EXECUTION = "/rw/rapid/execution;ctrlexecstate"  # the resource of the subscription
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a version of the services says things."""
+    """The paths, names and headers of one version of the services."""
 
     scheme: str
     port: int
-    home: str  # the controller's HOME where a program is loaded from
-    motors: str  # where the controller's state is
-    modules: str  # where a task's loaded modules are
+    home: str  # the controller's HOME when loading a program
+    motors: str  # path of the controller's state
+    modules: str  # path of a task's loaded modules
     domain: str  # of mastership, for loading and for the program pointer
     load: str  # action that loads a program
     unload: str
     subprotocol: str  # of the subscription's web socket
-    ping: str  # text that asks it whether it is there; empty for a ping of the web socket's own
+    ping: str  # text that probes the web socket; empty for its built-in ping
     headers: dict[str, str]
-    form: dict[str, str]  # headers of what is posted
-    file: dict[str, str]  # headers of a file
+    form: dict[str, str]  # headers of posted forms
+    file: dict[str, str]  # headers of uploaded files
 
 
 DIALECTS = {
@@ -91,19 +91,19 @@ DIALECTS = {
 # ----------------------------------------------------------------------------------------------------
 # A session.
 #
-# Written on `requests`. Every request has a time for the whole of it, and every answer a bound. No proxy and no .netrc of
-# the environment is used, and no redirection is followed. A controller has room for 70 sessions and answers 503 beyond 20
-# requests a second: it has done nothing then, so that it may be asked again.
+# Based on `requests`. Every request has a deadline for the whole of it, and every answer a size limit. Proxies and
+# .netrc files of the environment are not used, and redirections are not followed. A controller allows 70 sessions and
+# answers 503 beyond 20 requests a second: it has done nothing then, so the request may be repeated.
 
 CONNECT_TIME = 5.0  # s
-QUICK = 10.0  # s for a request; a controller answers within some tenths of a second
-SLOW = 60.0  # s for loading a program; a long one takes some seconds
-STOP_TIME = 3.0  # s for a request to stop, so that there is time to ask again
+QUICK = 10.0  # s for a request; a controller answers within a few tenths of a second
+SLOW = 60.0  # s for loading a program; a long one takes several seconds
+STOP_TIME = 3.0  # s for a request to stop, which leaves time to repeat it
 SLOWEST_LINE = 50e3  # bytes/s of an upload
-BUSY_TIME = 0.2  # s until a busy controller is asked again
+BUSY_TIME = 0.2  # s before a request to a busy controller is repeated
 MOST_ANSWERED = 1_000_000  # bytes
 MOST_MODULES = 10_000
-_NOT_QUOTED = re.compile(r'["\\\x00-\x1f\x7f]|[^\x00-\xff]')  # characters that a header of digest cannot carry
+_NOT_QUOTED = re.compile(r'["\\\x00-\x1f\x7f]|[^\x00-\xff]')  # characters that a digest header cannot carry
 _MESSAGE = re.compile(r'class="msg"[^>]*>([^<]*)<')
 
 
@@ -119,7 +119,7 @@ class Rws:
         verify: bool | Path = True,
         scheme: str | None = None,
     ) -> None:
-        """verify: whether an https certificate is checked, or the PEM file to check it with; scheme: not the version's own."""
+        """verify: whether to check an https certificate, or the PEM file for it; scheme: if not the version's own."""
         sessions, auth = _requests()
         self._made_with = (address, version, user, secret, verify, scheme)
         self._dialect, self._two, self.address = DIALECTS[version], version == 2, address
@@ -128,7 +128,7 @@ class Rws:
         self._session = sessions.Session()
         self._session.trust_env = False
         self._session.verify = str(verify) if isinstance(verify, Path) else verify
-        if verify is False:  # it was asked for, and need not be said at every request
+        if verify is False:  # it was requested, so no need to warn at every request
             sessions.packages.urllib3.disable_warnings(sessions.packages.urllib3.exceptions.InsecureRequestWarning)
         self._session.headers.update(self._dialect.headers)
         for prefix in ("http://", "https://"):
@@ -159,23 +159,23 @@ class Rws:
         return self._state("rw/rapid/execution", "ctrlexecstate", seconds).lower() != "stopped"
 
     def active(self) -> tuple[str, ...]:
-        """Names of the tasks that run when the controller is started, as its task panel has them."""
+        """Names of the tasks that run when the controller is started, as selected in its task panel."""
         listed = self._states("rw/rapid/tasks")[:MOST_MODULES]
         return tuple(str(each.get("name")) for each in listed if str(each.get("active")).lower() == "on")
 
     def modules(self, task: str = TASK) -> tuple[str, ...]:
-        """Names of the modules of a task's loaded program; those of the system are not among them."""
+        """Names of the modules of a task's loaded program, without system modules."""
         listed = self._states(self._dialect.modules.format(task=task))[:MOST_MODULES]
         return tuple(str(each.get("name")) for each in listed if str(each.get("type")).lower().startswith("prog"))
 
     def upload(self, name: str, data: bytes) -> None:
-        """Put a file into the controller's HOME, in place of one of that name."""
+        """Put a file into the controller's HOME, replacing one of the same name."""
         seconds = QUICK + len(data) / SLOWEST_LINE
         self._ask("PUT", f"fileservice/$home/{quote(name)}", data, self._dialect.file, seconds)
 
     @contextmanager
     def mastership(self) -> Iterator[None]:
-        """Hold what loading and the program pointer need; nobody else may change them meanwhile."""
+        """Hold the mastership required for loading and the program pointer; nobody else may change them meanwhile."""
         place = f"rw/mastership/{self._dialect.domain}"
         self._act(place, "request")
         done = False
@@ -184,39 +184,39 @@ class Rws:
             done = True
         finally:
             if not done:
-                with suppress(LinkError, InputError):  # what went wrong before is what must be told
+                with suppress(LinkError, InputError):  # the earlier error is the one to report
                     self._act(place, "release", seconds=STOP_TIME)
         self._act(place, "release")
 
     def load(self, program: str, task: str = TASK) -> None:
-        """Load a program from its .pgf in HOME, in place of the task's whole program that is there. Needs mastership."""
+        """Load a program from its .pgf in HOME, replacing the task's whole program. Requires mastership."""
         form = {"progpath": f"{self._dialect.home}/{program}", "loadmode": "replace"}
         self._act(f"rw/rapid/tasks/{task}/program", self._dialect.load, form, seconds=SLOW)
 
     def unload(self, task: str = TASK) -> None:
-        """Unload the program, so that the task is empty. Needs mastership."""
+        """Unload the program, so that the task is empty. Requires mastership."""
         self._act(f"rw/rapid/tasks/{task}/program", self._dialect.unload)
 
     def to_main(self) -> None:
-        """Set the program pointers of all tasks to main. Needs mastership."""
+        """Set the program pointers of all tasks to main. Requires mastership."""
         self._act("rw/rapid/execution", "resetpp")
 
     def start(self) -> None:
-        """Run the program once. Mastership must not be held any more: others may stop it."""
+        """Run the program once. Mastership must have been released, so that others may stop it."""
         self._act("rw/rapid/execution", "start", START, implicit=True)
 
     def stop(self) -> None:
-        """Stop the program, as the pendant's stop button does. Asks for no mastership: whoever holds it, this must work."""
+        """Stop the program, as the pendant's stop button does, without mastership: this must work whoever holds it."""
         self._act("rw/rapid/execution", "stop", {"stopmode": "stop", "usetsp": "normal"}, seconds=STOP_TIME)
 
     def subscribe(self) -> ExecutionEvents:
-        """Be told the state of execution whenever it changes. Raises LinkError where the controller has no such thing."""
-        # as ABB's samples have it: with the semicolon as it is, which controllers are known to want
+        """Subscribe to changes of the execution state. Raises LinkError if the controller offers no subscription."""
+        # as in ABB's samples, with an unescaped semicolon, which controllers are known to require
         answer = self._ask("POST", "subscription", f"resources=1&1={EXECUTION}&1-p=1".encode(), self._dialect.form)
         place = urlsplit(answer.location).path
         group = re.fullmatch(r"/poll/([0-9]{1,9})", place)
         if answer.status != 201 or group is None:
-            raise LinkError(f"the controller at {self.address} gives no subscription")
+            raise LinkError(f"the controller at {self.address} grants no subscription")
         cookies = "; ".join(f"{each.name}={each.value}" for each in self._session.cookies)
         context = None if self._scheme == "http" else self._tls()
         try:
@@ -226,14 +226,14 @@ class Rws:
             raise
 
     def unsubscribe(self, group: str) -> None:
-        """Give a subscription back."""
+        """Cancel a subscription."""
         try:
             self._ask("DELETE", f"subscription/{group}", None, {}, STOP_TIME)
         except (LinkError, InputError):
             return  # it ends with the session
 
     def close(self, seconds: float = STOP_TIME) -> None:
-        """End the session; a controller has room for few."""
+        """End the session; a controller allows only a limited number."""
         try:
             self._ask("GET", "logout", None, {}, seconds)
         except (LinkError, InputError):
@@ -256,7 +256,7 @@ class Rws:
         self._ask("POST", target, form or {}, self._dialect.form, seconds)
 
     def _states(self, path: str, seconds: float = QUICK) -> list[dict[str, Any]]:
-        """The states of an answer; none where it has another form."""
+        """The states in an answer; none if it has another form."""
         asked = path if self._two else path + ("&" if "?" in path else "?") + "json=1"
         body = self._ask("GET", asked, None, {}, seconds).body
         try:
@@ -283,7 +283,7 @@ class Rws:
         headers: dict[str, str],
         seconds: float = QUICK,
     ) -> _Answer:
-        """Request and answer within a time, asked again where the controller is busy."""
+        """Send a request and return the answer within a time, repeating it if the controller is busy."""
         end = time.monotonic() + seconds
         while True:
             answer = self._asked(method, path, data, headers, max(0.1, end - time.monotonic()))
@@ -316,9 +316,7 @@ class Rws:
             raise LinkError(f"the controller's web services at {self.address} do not answer in time") from None
         except sessions.exceptions.SSLError:
             hint = "give its certificate with --certificate, or --insecure"
-            raise InputError(
-                f"the controller at {self.address} shows no certificate that is trusted", hint=hint
-            ) from None
+            raise InputError(f"the controller at {self.address} shows no trusted certificate", hint=hint) from None
         except (sessions.exceptions.RequestException, sessions.packages.urllib3.exceptions.HTTPError, OSError) as error:
             raise self._unreachable(error) from None
 
@@ -329,7 +327,7 @@ class Rws:
         return LinkError(f"the controller's web services at {self.address} do not answer{' in time' if slow else ''}")
 
     def _tls(self) -> ssl.SSLContext:
-        """What the web socket's certificate is checked with: the same as for all else."""
+        """The TLS context of the web socket, which checks certificates as for all other requests."""
         context = ssl.create_default_context(cafile=str(self._verify) if isinstance(self._verify, Path) else None)
         if self._verify is False:
             context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
@@ -338,7 +336,7 @@ class Rws:
 
 @dataclass(frozen=True)
 class _Answer:
-    """Status, where it leads to, and body of an answer."""
+    """Status, Location header, and body of an answer."""
 
     status: int
     location: str
@@ -346,7 +344,7 @@ class _Answer:
 
 
 def _reason(answer: _Answer) -> str:
-    """What an answer says of a refusal; its status at least."""
+    """The reason that an answer gives for a refusal, or at least its status."""
     try:
         said = json.loads(answer.body)
         details = said["status"] if "status" in said else said["_embedded"]["status"]
@@ -369,7 +367,7 @@ def _requests() -> tuple[Any, Any]:
 
 
 def _adapter(cutter: Cutter) -> Any:
-    """What makes the connections of a session: each is watched from its first byte on, before TLS."""
+    """An adapter for a session's connections, which are subject to the cutter's deadlines even before TLS."""
     import requests.adapters
     from urllib3.connection import HTTPConnection, HTTPSConnection
     from urllib3.connectionpool import HTTPConnectionPool, HTTPSConnectionPool
@@ -402,20 +400,20 @@ def _adapter(cutter: Cutter) -> Any:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Events of the execution, over a web socket.
+# Execution events, over a web socket.
 
 _STATE = re.compile(r'class="ctrlexecstate"[^>]*>\s*([a-z]{1,20})\s*<')
 MOST_EVENT = 64_000  # characters
-PING_EVERY = 5.0  # s; a connection is lost after two that are not answered
+PING_EVERY = 5.0  # s; a connection is lost after two unanswered pings
 
 
 class ExecutionEvents:
-    """States of execution (`running`, `stopped`) as the controller tells them."""
+    """Execution states (`running`, `stopped`) as reported by the controller."""
 
     def __init__(
         self, address: Address, place: str, cookies: str, dialect: Dialect, context: ssl.SSLContext | None
     ) -> None:
-        """place: path of the web socket; context: for https. Raises LinkError where it cannot be opened."""
+        """place: path of the web socket; context: for https. Raises LinkError if it cannot be opened."""
         websocket = _websocket()
         self._cutter, self._errors = Cutter(), (websocket.WebSocketException, OSError, ValueError)
         self._late, self._ping = websocket.WebSocketTimeoutException, dialect.ping
@@ -437,7 +435,7 @@ class ExecutionEvents:
         self._asked = self._heard = time.monotonic()
 
     def next(self, seconds: float) -> str | None:
-        """The next state within a time [s], None where there is none; raises LinkError once the connection has ended."""
+        """The next state within a time [s], or None; raises LinkError once the connection has ended."""
         websocket, end = _websocket(), time.monotonic() + seconds
         try:
             while (left := end - time.monotonic()) > 0.0:
@@ -470,13 +468,13 @@ class ExecutionEvents:
                 self._socket.ping()
 
     def close(self) -> None:
-        """Nothing more is listened to."""
+        """Close the web socket."""
         self._cutter.forget("events")
         self._socket.shutdown()
 
 
 def _websocket() -> Any:
-    """The package `websocket`, which comes with the link's extra."""
+    """The package `websocket`, part of the link's extra."""
     try:
         import websocket
     except ImportError as error:

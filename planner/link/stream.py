@@ -1,4 +1,4 @@
-"""Send a plan's moves to a controller while it runs them."""
+"""Stream a plan's moves to a controller while it runs them."""
 
 from planner.base.launch import end, launch
 

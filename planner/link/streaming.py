@@ -1,4 +1,4 @@
-"""Sends a plan's moves to a controller while it runs them, in place of a program that is loaded whole."""
+"""Streams a plan's moves to a controller while it runs them, in place of loading the whole program."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ from planner.plan import TRAVEL
 # Frames: one for each move of a program (see BeadwiseStream.mod).
 #
 # A frame is 116 bytes, little-endian: number, kind, flags of the triggers, tool, place [mm], orientation w x y z,
-# configuration, external axes [deg], speeds [mm/s, deg/s], wait [s], zone [mm], how many frames there are up to and with
-# the next rest, a point on the way of an arc [mm], the flow that is asked for from the move's start and from its end on
-# [unit of the analog output], and two sums over all that.
+# configuration, external axes [deg], speeds [mm/s, deg/s], wait [s], zone [mm], number of frames up to and including
+# the next rest, the via point of an arc [mm], the flow from the start of the move and from its end [unit of the analog
+# output], and two checksums of the above.
 #
-# A controller's task takes some 6.5 ms to read a message, however long it is. So frames go out together, and it reads as
-# many at once as its raw bytes hold.
+# A controller's task takes some 6.5 ms to read a message of any length. So frames are sent together, and it reads as
+# many at once as fit into its rawbytes.
 
 BODY = struct.Struct("<IBBBx3f4f4b6f4fffHxx3f2f")
 SUMS = struct.Struct("<HH")
@@ -64,13 +64,13 @@ _WORDS = struct.Struct(f"<{BODY.size // 2}H")
 
 @dataclass(frozen=True)
 class Stream:
-    """What is sent of a program: frames 1 … total, the last one the end.
+    """A program as frames 1 … total; the last one marks the end.
 
-    signals   outputs of the extruders, by the frames' tool
+    signals   outputs of the extruders, indexed by the frames' tool
     longest   time of the longest single move or wait [s], at the programmed speeds
-    lines     frame → what the extruder's board gets once the controller has handed the frame to its motion
-    beads     (m) of its moves, or on the way there; TRAVEL for none, None where the program does not tell
-    plan      what the server's module has to have of a plan, as `plan_sum` tells it
+    lines     frame → lines for the extruder's board once the controller has handed the frame to its motion
+    beads     (m) of its moves, or approached by them; TRAVEL for none, None if the program does not state them
+    plan      checksum of what the server's module must contain of the plan, see `plan_sum`
     """
 
     total: int
@@ -83,7 +83,7 @@ class Stream:
     _codes: NDArray[np.int64]
 
     def begun(self, done: int) -> int | None:
-        """The bead, or that on whose way, the last of so many frames is; None where it is on none."""
+        """The bead of the last of `done` frames, or the bead it approaches; None if there is none."""
         if self.beads is None or done < 2:
             return None
         bead = int(self.beads[min(done - 2, len(self.beads) - 1)])
@@ -121,12 +121,14 @@ def packed(
 
 
 def stream_of(program: RobotProgram, demand: str = "") -> Stream:
-    """The frames of a program of any style; demand: analog output that takes the flow, empty for none.
+    """The frames of a program of any style; demand: analog output for the flow, empty for none.
 
-    Raises InputError for what only the program itself can do.
+    Raises InputError for anything that only the program itself can do.
     """
     if program.second is not None:
-        raise InputError("two arms move together, and a stream moves one", hint="run the program's own two modules")
+        raise InputError(
+            "two arms move together, but a stream moves only one", hint="run the program's own two modules"
+        )
     m = len(program.position)
     signals: list[str] = []
     codes = np.zeros((m + 1, 8), np.int64)
@@ -136,7 +138,7 @@ def stream_of(program: RobotProgram, demand: str = "") -> Stream:
         codes[move + 1, 1:3] = _flags(triggers, signals)
     codes[1:, 3:7] = program.conf
     rests = np.append(True, program.zone == 0.0)
-    ahead = np.append(np.flatnonzero(rests), m + 1)  # the end stops whatever still moves
+    ahead = np.append(np.flatnonzero(rests), m + 1)  # the end frame stops all motion
     index = np.arange(m + 1)
     codes[:, 7] = np.minimum(ahead[np.searchsorted(ahead, index)] - index + 1, MOST_LEFT)
     values = np.zeros((m + 1, VALUES))
@@ -153,7 +155,7 @@ def stream_of(program: RobotProgram, demand: str = "") -> Stream:
     codes[circular, 0] = CIRCULAR
     values[circular, 19:22] = program.via[program.circular] * 1e3
     _flows(program, codes, values)
-    # what is due before the first move comes with the joints; frame 1 is those
+    # lines due before the first move come with frame 1, which holds the start joints
     lines = {move + 2: texts for move, texts in sorted(program.sends.items())}
     codes[[frame - 1 for frame in lines], 1] |= TELL
     plan = plan_sum(program, signals, demand)
@@ -161,7 +163,7 @@ def stream_of(program: RobotProgram, demand: str = "") -> Stream:
 
 
 def _flows(program: RobotProgram, codes: NDArray[np.int64], values: Array) -> None:
-    """The flow of style demand, at the ends of moves; what a move does not set stays as it was before."""
+    """The flow of style demand, at the ends of moves; a move that does not set it keeps the previous value."""
     if not program.demands:
         return
     now = 0.0
@@ -185,7 +187,7 @@ def _degrees(radians: Array) -> Array:
 
 
 def _flags(triggers: tuple[Trigger, ...], signals: list[str]) -> tuple[int, int]:
-    """Flags and tool of a move's triggers; a signal that is new joins the signals."""
+    """Flags and tool of a move's triggers; new signals are added to `signals`."""
     flags, names = 0, {trigger.signal for trigger in triggers}
     for trigger in triggers:
         if trigger.distance != 0.0 or (trigger.from_start and not trigger.value):
@@ -215,26 +217,26 @@ def _longest(program: RobotProgram) -> float:
 
 VERSION = 3
 ANY_PLAN = "any"  # of a simulated controller, which moves no robot
-LONGEST_LINE = 80  # characters, as RAPID's strings
+LONGEST_LINE = 80  # characters, as for RAPID's strings
 ALIVE_EVERY = 0.5  # s; the controller stops after 2 s of silence
-MOST_SENT = 8 * AT_ONCE  # frames sent before looking at what comes back
-PATIENCE = 30.0  # s without a word of the controller, beside its longest move
-SLOWEST = 10.0  # times as long as programmed: an operator may lower the speed that far
+MOST_SENT = 8 * AT_ONCE  # frames sent before reading answers
+PATIENCE = 30.0  # s without a message from the controller, in addition to its longest move
+SLOWEST = 10.0  # × the programmed duration: an operator may lower the speed this far
 _WORD = re.compile(
     r"([BCE]) (0|[1-9][0-9]{0,8}) (0|[1-9][0-9]{0,8})(?: ([0-9a-f]{8}|any))?|X (0|[1-9][0-9]{0,8}) (.{1,70})"
 )
 
 
 class StreamStopped(PlannerError):
-    """The stream has ended before its time; says why and after how many moves."""
+    """The stream has ended early; states why and after how many moves."""
 
     exit_code = EXIT_NOT_VERIFIED
 
 
 class Sender:
-    """Hands out frames as far as the controller has room, and a sign of life where there are none.
+    """Hands out frames as far as the controller's buffer allows, or else a sign of life.
 
-    done, starved   moves handed to the motion, and times the robot waited within a bead (known at the end)
+    done, starved   moves handed to the motion, and how often the robot waited within a bead (known at the end)
     """
 
     def __init__(self, stream: Stream, now: float) -> None:
@@ -247,16 +249,16 @@ class Sender:
         self._sent_at, self._received_at = now, now
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take what the controller sent. Raises StreamStopped where it stopped, or sent what is not of the protocol."""
+        """Take bytes from the controller. Raises StreamStopped if it stopped, or violated the protocol."""
         *whole, self._partial = (self._partial + data).split(b"\n")
         if max(len(each) for each in (*whole, self._partial)) > LONGEST_LINE:
             raise self._stopped("the controller sent a line that is too long")
         for raw in whole:
             self._take(raw.decode("ascii", errors="replace"))
-            self._received_at = now  # half a word, a byte at a time, is silence
+            self._received_at = now  # only whole lines count, not single bytes
 
     def due(self, now: float, hold: int | None = None) -> bytes:
-        """What is to be sent now; nothing beyond frame `hold`. Raises StreamStopped where the controller is silent for too long."""
+        """What to send now, up to frame `hold`. Raises StreamStopped if the controller is silent for too long."""
         if self.finished:
             return b""
         if now - self._received_at > self._patience:
@@ -273,17 +275,17 @@ class Sender:
         return out
 
     def stop(self, unsent: bytes) -> bytes:
-        """What stops the robot, after what is left unsent of a frame that has partly gone."""
+        """Bytes that stop the robot, after the rest of a frame that was partly sent."""
         return unsent[: len(unsent) % LENGTH] + packed(self.sent, STOP)
 
     def lost(self) -> StreamStopped:
-        """The connection has ended."""
+        """The error of a lost connection."""
         return self._stopped("the connection to the controller is lost")
 
     def _take(self, text: str) -> None:
         match = _WORD.fullmatch(text)
         if match is None:
-            raise self._stopped(f"the controller sent {text[:20]!r}, which means nothing")
+            raise self._stopped(f"the controller sent {text[:20]!r}, which is not understood")
         word, one, two, plan, _, reason = match.groups()
         if reason is not None:
             raise self._stopped(f"the controller stopped: {reason}")
@@ -307,19 +309,19 @@ class Sender:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Lines for the extruder's board, of style socket.
+# Lines for the extruder's board, in style socket.
 
-SLOW = ("G4", "M109", "M116", "M190", "M191", "M400")  # acknowledged when they are over: the robot rests until then
+SLOW = ("G4", "M109", "M116", "M190", "M191", "M400")  # acknowledged only when complete: the robot rests until then
 MOST_BEHIND = 16  # lines by which the board may lag behind the robot, as in a program of style socket
 
 
 class LineFeed:
-    """Gives the board its lines as their moves are handed to the motion."""
+    """Sends the board its lines as their moves are handed to the motion."""
 
     def __init__(self, stream: Stream, board: BoardFeed) -> None:
-        """Raises InputError for a line that takes long and is not at a rest."""
+        """Raises InputError for a slow line that is not at a rest."""
         self._board, self._left = board, deque(stream.lines.items())
-        self._holds: deque[tuple[int, int]] = deque()  # frame, and lines up to and with it
+        self._holds: deque[tuple[int, int]] = deque()  # frame, and number of lines up to and including it
         count = 0
         for frame, texts in stream.lines.items():
             count += len(texts)
@@ -329,7 +331,7 @@ class LineFeed:
                 self._holds.append((frame, count))
 
     def step(self, done: int) -> int | None:
-        """Frames were handed over; the frame beyond which none may be sent yet. Raises FeedStopped."""
+        """Advance to `done` frames; returns the frame beyond which none may be sent yet. Raises FeedStopped."""
         while self._left and self._left[0][0] <= done:
             for text in self._left.popleft()[1]:
                 self._board.feed.add(text)
@@ -341,7 +343,7 @@ class LineFeed:
         return self._holds[0][0] if self._holds else None
 
     def finish(self) -> None:
-        """The motion is over; wait for the board. Raises FeedStopped."""
+        """Wait for the board after the motion. Raises FeedStopped."""
         self._board.finish()
 
 
@@ -354,9 +356,9 @@ _PARTS = re.compile(r"( *! --- of the plan ---\n).*?(?= *! --- of every plan ---
 
 
 def server_module(program: RobotProgram, signals: Sequence[str], address: str, port: int, demand: str = "") -> str:
-    """Text of the RAPID module that serves a program's stream at an address of the controller.
+    """Text of the RAPID module that receives a program's stream at an address of the controller.
 
-    demand  analog output that takes the flow; empty for none
+    demand  analog output for the flow; empty for none
     """
     text = files("planner.link").joinpath(f"{MODULE}.mod").read_text("ascii")
     data = [
@@ -372,7 +374,7 @@ def server_module(program: RobotProgram, signals: Sequence[str], address: str, p
 
 
 def plan_sum(program: RobotProgram, signals: Sequence[str], demand: str = "") -> str:
-    """Eight digits for what a module has of a plan, which no frame says: tool, work object, station and outputs."""
+    """Checksum (8 hex digits) of what a module contains of a plan: tool, work object, station and outputs."""
     text = "\n".join([*_data(program), *_procedures(program, signals, demand)])
     return f"{crc32(text.encode('ascii')):08x}"
 
@@ -389,7 +391,7 @@ def _data(program: RobotProgram) -> list[str]:
 
 
 def _procedures(program: RobotProgram, signals: Sequence[str], demand: str) -> list[str]:
-    """Procedures that name outputs and station."""
+    """Procedures that depend on outputs and station."""
     off = [f"SetDO {name},0;" for name in signals] + ([f"SetAO {demand},0;"] if demand else [])
     units = ["! No station: the part stands still."]
     if program.station:
@@ -408,7 +410,7 @@ def _procedures(program: RobotProgram, signals: Sequence[str], demand: str) -> l
 
 
 def _triggers(signals: Sequence[str], demand: str) -> list[str]:
-    """Statements of a move with outputs: both of its ends set all of them, to what they are or are to be."""
+    """Statements of a move with outputs: both of its ends set all of them, whether they change or not."""
     if not signals and not demand:
         return ['BsStop "no output here";']
     out = ["VAR num s;", "s:=1+bsDone MOD 16;"]
@@ -453,8 +455,8 @@ def _pose(pose: Array) -> str:
 PORT = 1026
 CONNECTING = 10.0  # s
 LAST_WORDS = 2.0  # s in which the controller may say that it has stopped
-LOOK = 0.01  # s between looks at the clock
-FEED_LOOK = 0.001  # s between looks at the board
+LOOK = 0.01  # s between checks of the clock
+FEED_LOOK = 0.001  # s between checks of the board
 BOARD_PORT = 23  # telnet
 LARGEST = 256 << 20  # bytes of all modules
 BLOCK = 4096  # bytes read at once
@@ -530,22 +532,22 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
 
 
 def _check_own(path: Path) -> None:
-    """Raises InputError for a file that is there and is something else than the server's module: it is not replaced."""
+    """Raises InputError for an existing file other than the server's module, which must not be replaced."""
     if path.is_file():
         with path.open("rb") as stream:
             if stream.readline(LONGEST_NAME).split() != [b"MODULE", MODULE.encode()]:
-                raise InputError(f"holds something else than {MODULE}.mod, and stays as it is", file=path)
+                raise InputError(f"is not {MODULE}.mod, and stays as it is", file=path)
 
 
 def modules_in(folder: Path) -> list[Path]:
-    """The modules of a folder, but for the server's."""
+    """The modules of a folder, except the server's."""
     return [path for path in sorted(folder.glob("*.mod")) if path.stem != MODULE]
 
 
 def program_in(folder: Path) -> tuple[RobotProgram, str]:
-    """The RAPID program in a folder of results, and its analog output of the flow, if it has one.
+    """The RAPID program in a folder of results, and its analog output for the flow, if any.
 
-    Raises InputError where there is none, or it cannot be read.
+    Raises InputError if there is none, or it cannot be read.
     """
     paths = modules_in(folder)
     if not paths:
@@ -570,11 +572,10 @@ def send(
     lines: LineFeed | None = None,
     planned: GoingOn | None = None,
 ) -> Sender:
-    """Send all of a stream, from connection to end, and its lines to the board.
+    """Send a whole stream, from connection to end, and its lines to the board.
 
-    Raises InputError where nobody answers, StreamStopped and FeedStopped where it ended before its time; then, and when
-    interrupted, the controller was told to stop as far as it can be told, and `say` gets which bead was begun, and how to go
-    on from it.
+    Raises InputError if nobody answers, StreamStopped and FeedStopped if it ends early; then, and when interrupted, the
+    controller is told to stop, if still reachable, and `say` reports the bead that was begun, and how to resume.
     """
     try:
         connection = socket.create_connection((host, port), timeout=CONNECTING)

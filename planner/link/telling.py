@@ -1,4 +1,4 @@
-"""What users are told of a run: how far it is, while it lasts, and how it ended."""
+"""What users see of a run: its progress while it lasts, and how it ended."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from planner.link.program_lines import NO_BEAD, ProgramLines
 from planner.link.relay import STANDING, LogNote, RelayState, RunOutcome, RunStatus
 from planner.problem.settings import STRATEGY_NAMES
 
-SETTLED = 10.0  # s of the run after which its own pace gives the time that is left
-OF_PLAN = ("problem", "problem_file", "problem_sha256", "strategy", "settings")  # keys that say how it is planned again
+SETTLED = 10.0  # s of the plan after which the run's own pace is used to estimate the remaining time
+OF_PLAN = ("problem", "problem_file", "problem_sha256", "strategy", "settings")  # keys needed to plan it again
 
 
 @dataclass(frozen=True)
 class RunProgress:
-    """How far a run is: its status, the share of the planned time that is over, and the time that is left [s]."""
+    """Progress of a run: its status, the share of the planned time that has passed, and the remaining time [s]."""
 
     status: RunStatus
     share: float
@@ -34,12 +34,12 @@ class RunProgress:
 
 
 class Show:
-    """A bar with bead, layer, line and time left; no bar where the console is None. `also` is told the same."""
+    """A progress bar with bead, layer, line and time left; none if the console is None. `also` gets the same."""
 
     def __init__(self, lines: ProgramLines, console: Console | None, also: Callable[[RunProgress], None]) -> None:
         self._lines, self._also = lines, also
-        self._first: float | None = None  # when the first line was acknowledged [s of a steady clock]
-        self._stood, self._last = 0.0, time.monotonic()  # how long it was paused, and when it was shown last [s]
+        self._first: float | None = None  # when the first line was acknowledged [s of a monotonic clock]
+        self._stood, self._last = 0.0, time.monotonic()  # time paused, and time of the last update [s]
         self._progress = None if console is None else Progress(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
             TextColumn("{task.fields[left]}"), console=console, auto_refresh=False,
@@ -58,7 +58,7 @@ class Show:
             self._progress.stop()
 
     def __call__(self, status: RunStatus) -> None:
-        """Draw how far the run is."""
+        """Draw the progress of the run."""
         now = time.monotonic()
         if status.state in STANDING:
             self._stood += now - self._last
@@ -80,9 +80,9 @@ class Show:
 
 
 def progress(lines: ProgramLines, acknowledged: int, since: float) -> tuple[float, float]:
-    """Share of the planned time that is over, and the time that the rest takes [s] at the pace so far.
+    """Share of the planned time that has passed, and the remaining time [s] at the pace so far.
 
-    since  time from the first ack, without pauses [s]
+    since  time since the first acknowledgement, without pauses [s]
     """
     first, last, here = lines[1].t, lines[len(lines)].t, lines[acknowledged].t
     if acknowledged == len(lines) or last <= first:
@@ -92,7 +92,7 @@ def progress(lines: ProgramLines, acknowledged: int, since: float) -> tuple[floa
 
 
 def place(lines: ProgramLines, n: int) -> str:
-    """Bead and layer of a line in words, numbered as everywhere; of the one before where it belongs to no bead."""
+    """Bead and layer of a line in words, numbered as everywhere; those of the last bead before it if it has none."""
     line = next((lines[k] for k in range(n, 0, -1) if lines[k].bead != NO_BEAD), None)
     return "before the first bead" if line is None else f"bead {line.bead}, layer {line.layer}"
 
@@ -105,11 +105,11 @@ def duration(seconds: float) -> str:
 
 @dataclass(frozen=True)
 class GoingOn:
-    """How a print is planned again, in words of the command line: its problem, and what stands behind the bead; or in Python,
-    where it was made with what no command has.
+    """How to plan a print again: by a command with the problem, and the options after the bead; or in Python, if it was
+    made with something that no command offers.
 
-    file     the problem's, or its name where it ships
-    sha256   of the file as it was planned; empty where that is not known
+    file     the problem's file, or the name of a shipped problem
+    sha256   of the file as it was planned; empty if unknown
     """
 
     problem: str
@@ -119,17 +119,17 @@ class GoingOn:
     in_python: bool = False
 
     def lines(self, bead: int) -> list[str]:
-        """How to go on from a bead, and before that what stands against it."""
+        """How to resume from a bead, preceded by a warning if the problem's file has changed."""
         if self.in_python:
             return [f"to go on: solve(..., first_bead={bead}) in Python, with all else as {self.problem} was planned"]
         command = f"to go on: python -m planner.solve {self.problem} --from-bead {bead}{self.options}"
         if not self._is_changed():
             return [command]
-        words = f"{self.file} was changed since it was planned: bead {bead} may be another one; put it back as it was"
+        words = f"{self.file} was changed since it was planned: bead {bead} may be a different one; restore the file"
         return [words, command]
 
     def _is_changed(self) -> bool:
-        """Whether the problem's file is another one now. One that is not there is told by whoever plans."""
+        """Whether the problem's file has changed since. A missing one is reported by the planner itself."""
         if not self.sha256:
             return False
         own, shipped = Path(self.file), PROBLEMS / f"{self.file.removesuffix('.yaml')}.yaml"
@@ -140,8 +140,8 @@ class GoingOn:
 
 
 def going_on(plan: Mapping[str, Any], name: str) -> GoingOn:
-    """How the print of a plan.json is planned again; by the name in its program's header where that does not say. Only Python
-    has waypoints from arrays, which are in no file, and strategies and terms of a user's own."""
+    """How to plan the print of a plan.json again; by the name in its program's header if it does not say. Waypoints
+    from arrays, which are in no file, and a user's own strategies and terms exist only in Python."""
     try:
         problem, sha256 = plan.get("problem_file") or plan["problem"], plan.get("problem_sha256")
         words = ["--strategy", plan["strategy"]]
@@ -157,18 +157,18 @@ def going_on(plan: Mapping[str, Any], name: str) -> GoingOn:
 
 
 def for_the_log(plan: Mapping[str, Any]) -> LogNote:
-    """The record of a run's plan: what `going_on` asks of it, for its folder may have another one by then."""
+    """The log record of a run's plan, with what `going_on` needs, as its folder may hold another plan by then."""
     return LogNote("plan", 0, json.dumps({key: plan[key] for key in OF_PLAN if key in plan}))
 
 
 def begun_words(bead: int, planned: GoingOn | None) -> list[str]:
-    """What to look at, and how to go on, where a motion ended on a bead or on the way to it."""
+    """What to check, and how to resume, if a motion ended on a bead or on the way to it."""
     ahead = [] if planned is None else planned.lines(bead)
-    return [f"bead {bead} was begun, or the way there: look whether the one before is whole", *ahead]
+    return [f"bead {bead} or the way to it was begun: check whether the bead before it is complete", *ahead]
 
 
 def ending(lines: ProgramLines, outcome: RunOutcome, planned: GoingOn) -> list[str]:
-    """How a run ended, in lines: why, where it stands, what the user should look at, and how to go on."""
+    """How a run ended, in lines: why, where it stands, what the user should check, and how to resume."""
     total, n = len(lines), outcome.position.n
     if outcome.reason is None:
         return [f"done: all {total} lines were acknowledged"]
@@ -178,7 +178,7 @@ def ending(lines: ProgramLines, outcome: RunOutcome, planned: GoingOn) -> list[s
         out.append(f"line {outcome.sent} ({lines[outcome.sent].text}) went to the board, which may have carried it out")
     if not outcome.safe:
         out.append(
-            "the board did not confirm that it is safe: look at its heaters, its cutter, and what it still extrudes"
+            "the board did not confirm that it is safe: check its heaters, its cutter, and whether it still extrudes"
         )
     resume = outcome.position.resume
     if resume is None:

@@ -1,7 +1,8 @@
-"""What a program asks for so that the robot executes the plan: the plan's motion, its tip displaced as runs have taught.
+"""The motion a program commands so that the robot executes the plan: the planned one, corrected as learnt from runs.
 
-A robot cuts corners and follows late. What it executes is the plan if it is asked for something else, beside the plan. By
-how much is told at places along each bead, and is interpolated straight between them. Beyond a bead's ends it fades.
+A robot cuts corners and lags behind. To execute the plan, it has to be commanded a slightly different path. The
+displacement is given at places along each bead and interpolated linearly between them; beyond a bead's ends it fades
+out.
 """
 
 from __future__ import annotations
@@ -26,23 +27,23 @@ from planner.plan.trajectory import Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 
-COLUMNS = ("bead", "s_mm", "dx_mm", "dy_mm", "dz_mm")  # of the file, and more that is for people
-PLACES = ("x_mm", "y_mm", "z_mm")  # where that is in the part frame, by which beads that have changed are known
-ASTRAY = 0.5e-3  # m by which such a place may lie off its bead
+COLUMNS = ("bead", "s_mm", "dx_mm", "dy_mm", "dz_mm")  # that the file must have; any others are for people
+PLACES = ("x_mm", "y_mm", "z_mm")  # optional: the places in the part frame, which reveal changed beads
+ASTRAY = 0.5e-3  # m: how far such a place may lie off its bead
 LARGEST_FILE = 300_000_000  # bytes: some six million places, or a day of printing
 LARGEST = 1e9  # a number in it: beads, and mm
-FADE = 5e-3  # m of way on which a displacement fades before and behind a bead, or half of what lies between two
-BEYOND = 1e-4  # m by which a place may lie behind its bead's end
+FADE = 5e-3  # m of path over which a displacement fades out before and after a bead; at most half the travel
+BEYOND = 1e-4  # m: how far a place may lie beyond its bead's end
 ROUNDING = 1e-6  # relative, of numbers in the file
 _WRITTEN = "beadwise learn writes them"
-BLOCK = 20_000  # samples whose postures are sought at once: bounds the memory
+BLOCK = 20_000  # samples whose postures are solved at once: bounds the memory
 
 
 @dataclass(frozen=True)
 class Corrections(ReadOnlyArrays):
-    """By how much the tip is displaced (k places), in order of beads and along them.
+    """Displacements of the tip at k places, ordered by bead and along it.
 
-    bead (k) its index;  s (k) arc length along it [m];  shift (k, 3) of the tip in the part frame [m]
+    bead (k) index of the bead;  s (k) arc length along it [m];  shift (k, 3) of the tip in the part frame [m]
     """
 
     bead: Ints
@@ -58,8 +59,11 @@ class Corrections(ReadOnlyArrays):
 def read_columns(
     path: Path, names: Sequence[str], complain: Complaint, further: Sequence[str] = ()
 ) -> tuple[list[int], Array]:
-    """Columns of a file of corrections: the line of each row (k), and its numbers (k, c), with those of further columns
-    behind if all of them are there. Raises InputError, made by `complain`, for what is no such table."""
+    """Columns of a corrections file: line numbers of the rows (k) and their values (k, c).
+
+    The `further` columns follow the named ones if all of them are present. Raises InputError, made by `complain`, if
+    the file holds no such table.
+    """
     lines = read_text(path, LARGEST_FILE, complain)
     try:
         rows = [(i, row) for i, row in enumerate(csv.reader(lines), 1) if row and not row[0].startswith("#")]
@@ -83,26 +87,28 @@ def read_columns(
 
 
 def read_corrections(path: Path, toolpath: Toolpath, complain: Complaint) -> Corrections:
-    """The corrections in a file. Raises InputError, made by `complain`, for anything that is none of this toolpath's."""
+    """The corrections in a file. Raises InputError, made by `complain`, if they do not belong to this toolpath."""
     numbered, table = read_columns(path, COLUMNS, complain, PLACES)
     wrong = partial(_wrong, path, complain, numbered)
     bead = table[:, 0].astype(np.int64)
     beads = toolpath.beads
-    wrong((bead != table[:, 0]) | (bead < 0) | (bead >= len(beads)), f"no bead of the {len(beads)} that there are")
+    wrong((bead != table[:, 0]) | (bead < 0) | (bead >= len(beads)), f"no such bead: there are {len(beads)}")
     length = np.array([each.length for each in beads])
     s = table[:, 1] * 1e-3
-    wrong((s < 0.0) | (s > length[bead] + BEYOND), "beyond the end of its bead: corrections of another print")
+    wrong(
+        (s < 0.0) | (s > length[bead] + BEYOND), "beyond the end of its bead: these corrections belong to another print"
+    )
     back = np.append(False, (np.diff(bead) < 0) | ((np.diff(bead) == 0) & (np.diff(s) <= 0.0)))
-    wrong(back, "not behind the place before")
+    wrong(back, "not after the previous place")
     shift, written = table[:, 2:5] * 1e-3, table[:, 5:] * 1e-3
     if written.shape[1]:
         off = np.linalg.norm(written - places_along(toolpath, bead, s), axis=1)
-        wrong(off > ASTRAY, "beside its bead: corrections of another print, or of beads in another order")
+        wrong(off > ASTRAY, "off its bead: these corrections belong to another print, or to beads in another order")
     return Corrections(bead, s, shift)
 
 
 def places_along(toolpath: Toolpath, bead: Ints, s: Array) -> Array:
-    """Where places (k, 3) at arc lengths s (k) along beads (k), in their order, lie in the part frame [m]."""
+    """Places (k, 3) in the part frame [m] at arc lengths s (k) along beads (k), which are in order."""
     out = np.empty((len(s), 3))
     for a, b in itertools.pairwise([*np.flatnonzero(np.diff(bead, prepend=-1)).tolist(), len(s)]):
         own = toolpath.beads[bead[a]]
@@ -124,7 +130,7 @@ def _wrong(path: Path, complain: Complaint, lines: list[int], bad: Flags, reason
 
 
 def displacements(corrections: Corrections, trajectory: Trajectory) -> Array:
-    """By how much the tip is displaced at each sample (n, 3) [m], part frame."""
+    """Displacement of the tip at each sample (n, 3) [m], part frame."""
     t = trajectory
     out = np.zeros((len(t), 3))
     edges = true_runs(t.deposit)
@@ -139,7 +145,7 @@ def displacements(corrections: Corrections, trajectory: Trajectory) -> Array:
 
 
 def _fade(out: Array, t: Trajectory, edges: Indices) -> None:
-    """Let displacements (n, 3) fade beyond the ends of deposition (k, 2), smoothly by way, into each other's never."""
+    """Fade displacements (n, 3) out smoothly along the path beyond the ends of deposition (k, 2), without overlap."""
     way = arc_lengths(t.tip)
     first, last = edges[:, 0], edges[:, 1] - 1
     begins, ends = np.append(first, len(t) - 1), np.append(0, last)  # of each stretch of travel
@@ -155,9 +161,9 @@ def _fade(out: Array, t: Trajectory, edges: Indices) -> None:
 
 
 def asked_trajectory(cell: Cell, trajectory: Trajectory, corrections: Corrections) -> Trajectory:
-    """The motion that a program asks for: at each sample the same posture, but for a displaced tip; of the same branch.
+    """The motion that a program commands: at each sample the same pose with the tip displaced, on the same branch.
 
-    Raises ValueError where a displaced nozzle cannot be reached.
+    Raises ValueError if a displaced nozzle is out of reach.
     """
     t = trajectory
     shift = displacements(corrections, t)
@@ -174,14 +180,14 @@ def asked_trajectory(cell: Cell, trajectory: Trajectory, corrections: Correction
 
 
 def _blocks(cell: Cell, t: Trajectory, moved: Indices) -> Iterator[tuple[Cell, Indices]]:
-    """Samples that are moved, in blocks, with the cell that has their nozzle in use."""
+    """The displaced samples, in blocks, each with the cell as it is with their nozzle in use."""
     for own, stretch in by_nozzle(cell, t.events, t.t):
         rows = moved[(moved >= stretch.start) & (moved < stretch.stop)]
         yield from ((own, block) for block in np.array_split(rows, 1 + len(rows) // BLOCK))
 
 
 def corrections_of(problem: Problem, toolpath: Toolpath) -> Corrections | None:
-    """The corrections that a problem names; None where it names none. Raises InputError."""
+    """The corrections that a problem names; None if it names none. Raises InputError."""
     spec = problem.as_run
     if spec is None:
         return None
@@ -193,7 +199,7 @@ def corrections_of(problem: Problem, toolpath: Toolpath) -> Corrections | None:
 
 
 def asked_of(problem: Problem, cell: Cell, toolpath: Toolpath, trajectory: Trajectory) -> Trajectory | None:
-    """What the program of a problem is to ask for; None where that is the plan. Raises InputError."""
+    """The motion that a problem's program is to command; None if it is the plan itself. Raises InputError."""
     corrections = corrections_of(problem, toolpath)
     if corrections is None:
         return None

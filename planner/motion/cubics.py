@@ -57,7 +57,7 @@ class Cubics(ReadOnlyArrays):
         return c0 + tau * (c1 + tau * (c2 + tau * c3))
 
     def state(self, t: Array) -> JointState:
-        """Joints, velocities and accelerations (k, nj) at times t (k); outside [0, duration] those of the nearer end."""
+        """Joints, velocities, accelerations (k, nj) at times t (k); outside [0, duration], those of the nearer end."""
         tau, (c3, c2, c1, c0) = self._at(t)
         return JointState(
             c0 + tau * (c1 + tau * (c2 + tau * c3)), c1 + tau * (2.0 * c2 + tau * (3.0 * c3)), 2.0 * c2 + 6.0 * tau * c3
@@ -77,7 +77,7 @@ def rest(q: Array, duration: float) -> Cubics:
 
 
 def chain(pieces: Sequence[Cubics]) -> Cubics:
-    """Pieces laid end to end in time; where they meet they are taken as they are. There is at least one piece."""
+    """Join pieces end to end in time, without adjusting their states where they meet; at least one is required."""
     lasting = [piece for piece in pieces if piece.duration > 0.0] or pieces[:1]
     starts = np.cumsum([0.0, *(piece.duration for piece in lasting)])
     times = [start + piece.times[:-1] for start, piece in zip(starts[:-1], lasting, strict=True)]
@@ -87,13 +87,13 @@ def chain(pieces: Sequence[Cubics]) -> Cubics:
 
 
 def add(a: Cubics, b: Cubics) -> Cubics:
-    """The sum of two motions; the shorter one holds its end, where it must be at rest."""
+    """The sum of two motions; the shorter one must end at rest, and holds its end."""
     return Cubics(*_add(a.times, a.coefficients, b.times, b.coefficients))
 
 
 @inner_njit
 def _merged(a: Array, b: Array) -> Array:
-    """The breakpoints of both, each once: at least two."""
+    """The breakpoints of both, without duplicates; at least two."""
     both = np.zeros(len(a) + len(b))
     i, j, n = 0, 0, 0
     while i < len(a) or j < len(b):
@@ -132,7 +132,7 @@ def _add(times_a: Array, a: Array, times_b: Array, b: Array) -> tuple[Array, Arr
 
 @dataclass(frozen=True)
 class Extremes:
-    """The exact extremes of a motion: joints low and high; greatest |velocity|, |acceleration| and |jerk|; all (nj)."""
+    """Exact extremes of a motion: least and greatest joints; greatest |velocity|, |acceleration|, |jerk|; all (nj)."""
 
     low: Array
     high: Array
@@ -142,7 +142,7 @@ class Extremes:
 
 
 def extremes(cubics: Cubics) -> Extremes:
-    """Extremes of every joint over all of a motion, between breakpoints too."""
+    """Extremes of every joint over the whole motion, between breakpoints too."""
     return Extremes(*_extremes(cubics.times, cubics.coefficients))
 
 
@@ -156,12 +156,12 @@ def _extremes(times: Array, coefficients: Array) -> Array:
         for j in range(nj):
             c3, c2, c1, c0 = coefficients[0, i, j], coefficients[1, i, j], coefficients[2, i, j], coefficients[3, i, j]
             out[4, j] = max(out[4, j], abs(6.0 * c3))
-            # where the joint may turn back: ends, and zeros of the velocity c1 + 2 c2 t + 3 c3 t^2
+            # candidates for extremes: the ends, and zeros of the velocity c1 + 2 c2 t + 3 c3 t^2
             root = c2 * c2 - 3.0 * c3 * c1
             far = -(c2 + np.copysign(np.sqrt(max(root, 0.0)), c2))
             first = far / (3.0 * c3) if c3 != 0.0 else 0.0
             second = c1 / far if far != 0.0 else 0.0
-            top = -c2 / (3.0 * c3) if c3 != 0.0 else 0.0  # of the velocity
+            top = -c2 / (3.0 * c3) if c3 != 0.0 else 0.0  # extreme of the velocity
             for t in (0.0, h, first, second, top):
                 if 0.0 <= t <= h:
                     q = c0 + t * (c1 + t * (c2 + t * c3))

@@ -1,9 +1,10 @@
-"""Dips: where a bead is printed slower than commanded, which joint's limit asks for it, and what would avoid it.
+"""Dips: where a bead is printed slower than commanded, which joint's limit causes it, and what would avoid it.
 
-At a constant speed v along the path a joint moves at q' v, q'' v^2, q''' v^3, with derivatives by arc length. So each
-place has a greatest constant speed, and the limit that sets the least one within a dip is its cause. What speed or
-limits would do follows exactly, on the same joint path. What corner tolerance would do is an estimate: a rounded
-corner grows with the tolerance, so that second derivatives fall with it and third ones with its square.
+At a constant speed v along the path, a joint's velocity, acceleration and jerk are q' v, q'' v^2 and q''' v^3, with
+derivatives by arc length. So each place has a greatest constant speed, and the limit that sets the lowest one within a
+dip is its cause. The effect of another speed or limit follows exactly, on the same joint path. The effect of another
+corner tolerance is an estimate: a rounded corner grows with the tolerance, so second derivatives are inversely
+proportional to it, and third derivatives to its square.
 """
 
 from __future__ import annotations
@@ -27,28 +28,31 @@ from planner.problem.process import ProcessSpec
 from planner.resolve.joint_path import ORDERS, JointPath, by_arc_length, spline_of
 from planner.toolpath.bead import Bead, Toolpath
 
-AT_SPEED = 0.98  # of the commanded speed: a sample below is in a dip
+AT_SPEED = 0.98  # share of the commanded speed: slower samples are in a dip
 MERGE = 5  # samples at speed between two dips that still count as one
 LIMITS = ("velocity", "acceleration", "jerk")
-# Of a joint in the problem file: its key, its unit in SI, the greatest value that the file may hold.
+# A joint's limits in the problem file: key, unit in SI, greatest value that the file may hold.
 KEYS = (("speed_deg_s", np.pi / 180.0, 1e4), ("acceleration_rad_s2", 1.0, 1e4), ("jerk_rad_s3", 1.0, 1e7))
 SLIDING_KEYS = (("speed_mm_s", 1e-3, 1e5), ("acceleration_mm_s2", 1e-3, 1e7), ("jerk_mm_s3", 1e-3, 1e10))
-WIDEST_TOLERANCE, LONGEST_RUN = 5e-3, 0.1  # m, that the problem file may hold
-_CORNER_LENGTH = 10.0  # tolerances that a rounded corner is long: it has to fit into the bead
-SLOWEST = 1e-4  # m/s, that it may hold
-MOST_TIMES = 100.0  # by which a limit may have to be raised to be told: no robot is so much better than its file says
-CORNER = np.radians(20.0)  # by which the drawn path turns over two tolerances, where rounding shapes it
-_BESIDE = 2.0  # tolerances from there to the bead, at most
-REFINE = 4  # places looked at between two samples of the task
-DIGITS = 3  # of a value that is told
+WIDEST_TOLERANCE, LONGEST_RUN = 5e-3, 0.1  # m: greatest values that the problem file may hold
+_CORNER_LENGTH = 10.0  # × the tolerance: length of a rounded corner, which has to fit into the bead
+SLOWEST = 1e-4  # m/s: least speed that the problem file may hold
+MOST_TIMES = 100.0  # × a limit: larger values are not suggested, no robot is so much better than its file says
+CORNER = np.radians(20.0)  # turn of the drawn path over two tolerances above which rounding shapes the bead
+_BESIDE = 2.0  # × the tolerance: greatest distance of such a corner from the bead
+REFINE = 4  # places checked between two samples of the task
+DIGITS = 3  # significant digits of a reported value
 _ROUNDING = 1e-12  # relative
-_NEGLIGIBLE = 5e-3  # of a dip's volume: less is not told as over-extrusion
+_NEGLIGIBLE = 5e-3  # share of a dip's volume: smaller over-extrusion is not reported
 
 
 @dataclass(frozen=True)
 class _BeadContext:
-    """What all dips of a bead share: the task's geometry by its samples' index, and a tree of the drawn path's corners,
-    joints' names and their velocity, acceleration and jerk limits (nj, 3), and those that slide."""
+    """What all dips of a bead share.
+
+    The task's geometry by sample index (path, bead, spline); a tree of the drawn path's corners; the joints' names,
+    their velocity, acceleration and jerk limits (nj, 3), and the indices of sliding joints.
+    """
 
     path: JointPath
     bead: Bead
@@ -59,15 +63,17 @@ class _BeadContext:
     sliding: tuple[int, ...]
 
     def ceilings(self, low: float, high: float) -> tuple[Array, Array]:
-        """Greatest constant speed (k, nj, 3) that each limit allows at places between two arc lengths, which are
-        (k) too. A place where samples coincide has no direction and is left out."""
+        """Greatest constant speed (k, nj, 3) that each limit allows between two arc lengths, and the places (k).
+
+        A place where samples coincide has no direction and is left out.
+        """
         found = by_arc_length(self.path, self.spline, low, high, REFINE)
         rates = np.abs(found.rates)
         with np.errstate(divide="ignore", over="ignore"):
             return (HEADROOM * self.limits / rates) ** (1.0 / ORDERS), found.s
 
     def corner(self, low: float, high: float, tolerance: float) -> bool:
-        """Whether the drawn path has a corner beside the bead between two arc lengths."""
+        """Whether the drawn path has a corner near the bead between two arc lengths."""
         points = self.bead.points[(self.bead.s >= low) & (self.bead.s <= high)]
         if len(points) == 0:
             return False
@@ -76,7 +82,7 @@ class _BeadContext:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """A dip between two arc lengths, whether these are the bead's own ends, where it is slowest, and how slow [m/s]."""
+    """A dip between two arc lengths: whether these are the bead's own ends, where it is slowest, and how slow [m/s]."""
 
     low: float
     high: float
@@ -115,7 +121,7 @@ def _line(cell: Cell, bead: Bead, path: JointPath, tolerance: float) -> _BeadCon
 
 
 def _turns(path: Array, reach: float) -> Array:
-    """Angle [rad] between the ways by which a polyline (m, 3) comes to and leaves each vertex, over `reach` [m]."""
+    """Angle [rad] between a polyline's (m, 3) directions before and after each vertex, over `reach` [m]."""
     arc = arc_lengths(path)
 
     def at(s: Array) -> Array:
@@ -146,15 +152,15 @@ def _dip(problem: Problem, line: _BeadContext, t: Trajectory, first: int, last: 
         lost=float((1.0 - t.speed[rows] / line.path.task.speed).sum()) * t.dt,
         joint=joint,
         limit=limit,
-        # the first and the last sample of a bead stand for what flows around them too
+        # the first and last samples of a bead also carry the flow just beyond them
         over_extruded=_over_extruded(problem.process, line.bead, t, slice(first + begins, last + 1 - ends), low, high),
         remedies=remedies,
     )
 
 
 def _over_extruded(process: ProcessSpec, bead: Bead, t: Trajectory, rows: slice, low: float, high: float) -> float:
-    """Material [m^3] that flows in some samples beyond what the bead holds where they pass, from low to high [m]."""
-    if high <= low:  # at rest all along: there the bead's mean has to do
+    """Material [m^3] that flows during some samples in excess of what the bead holds from low to high [m]."""
+    if high <= low:  # at rest throughout: use the bead's mean
         low, high = 0.0, bead.length
     volume = deposited_volume(bead, bead_area(bead, process), np.array([low, high]))
     area = float(volume[1] - volume[0]) / (high - low)
@@ -168,7 +174,7 @@ def _cause(problem: Problem, line: _BeadContext, dip: _Stretch) -> tuple[str, st
     task = line.path.task
     if any(dip.low <= stop.s <= dip.high for stop in task.stops):
         return "", "stop", ()
-    # what asks for a low speed at a bead's end may stand in its run
+    # the cause of a low speed at a bead's end may lie in its run
     ceilings, places = line.ceilings(task.s[0] if dip.begins else dip.low, task.s[-1] if dip.ends else dip.high)
     if len(places) == 0:
         return "", "shape", ()
@@ -178,20 +184,20 @@ def _cause(problem: Problem, line: _BeadContext, dip: _Stretch) -> tuple[str, st
     if dip.begins or dip.ends:
         start = dip.begins and (not dip.ends or dip.at < 0.5 * line.bead.length)
         more = dip.high if start else line.bead.length - dip.low
-        # a strut may have no run, and will have no longer one
+        # a strut may have no run, and then cannot get a longer one
         runs = not line.bead.round or (task.first > 0 if start else task.last < len(task) - 1)
         longer = _longer_run(problem, line.bead, (not start,), problem.process.run_in + more) if runs else ()
         return "", "start" if start else "end", longer
-    return line.names[joint], LIMITS[order], ()  # no limit asks for it: the one that is nearest is named
+    return line.names[joint], LIMITS[order], ()  # no limit requires it: the nearest one is named
 
 
 def _remedies(
     problem: Problem, line: _BeadContext, dip: _Stretch, ceilings: Array, places: Array
 ) -> tuple[Remedy, ...]:
-    """What would let the commanded speed be held where ceilings (k, nj, 3) are below it: speed, limits, geometry."""
+    """Changes of speed, limits or geometry that would let the commanded speed be held; ceilings are (k, nj, 3)."""
     speed = line.path.task.speed
     slowest = ceilings.min(axis=(1, 2))
-    # in a run the speed need not be held all along, so that a little less would do
+    # in a run the speed need not be held throughout, so a smaller change may do
     exact = bool(0.0 <= places[np.argmin(slowest)] <= line.bead.length)
     out = []
     slower = float(slowest.min())
@@ -200,7 +206,7 @@ def _remedies(
     each = ceilings.min(axis=0)
     needed = line.limits * (speed / each) ** ORDERS
     short = np.argwhere(each < speed)
-    short = short[np.argsort(each[each < speed], kind="stable")]  # the one that sets the speed comes first
+    short = short[np.argsort(each[each < speed], kind="stable")]  # the limit that sets the speed comes first
     keys = [(SLIDING_KEYS if j in line.sliding else KEYS)[k] for j, k in short]
     values = [float(needed[j, k]) / unit for (j, k), (_, unit, _) in zip(short, keys, strict=True)]
     told = (needed / line.limits).max() <= MOST_TIMES
@@ -213,10 +219,10 @@ def _remedies(
 def _larger_shape(
     problem: Problem, line: _BeadContext, dip: _Stretch, ceilings: Array, places: Array
 ) -> tuple[Remedy, ...]:
-    """The run or the corner tolerance at which the commanded speed may be held, where these shape the path.
+    """The run length or corner tolerance at which the commanded speed can be held, where these shape the path.
 
-    Along a larger run all speeds grow, with its square root where accelerations limit them. In a larger corner the
-    commanded speed has to be held all along.
+    Along a longer run all speeds grow, with its square root where accelerations limit them. In a larger corner the
+    commanded speed has to be held throughout.
     """
     process, length, speed = problem.process, line.bead.length, line.path.task.speed
     tight = places[(ceilings < AT_SPEED * speed).any(axis=(1, 2))]
@@ -232,8 +238,8 @@ def _larger_shape(
 
 
 def _longer_run(problem: Problem, bead: Bead, ends: Sequence[bool], length: float) -> tuple[Remedy, ...]:
-    """A run-in and run-out of a length [m]; none where a run at one of these ends (False its start) is short, since none
-    longer could be had."""
+    """A run-in and run-out of a length [m]; none if a run at one of these ends (False: the start) had to be cut short,
+    since a longer one would not fit."""
     short = any(bead.short_runs[end] for end in ends)
     if short or not problem.process.run_in < length <= LONGEST_RUN:
         return ()
@@ -241,8 +247,10 @@ def _longer_run(problem: Problem, bead: Bead, ends: Sequence[bool], length: floa
 
 
 def _growth(ceilings: Array, speed: float) -> float:
-    """How much larger a shape must be for a speed to be held along it: inf where a joint's velocity is short of it,
-    since a larger shape turns a joint no less per length."""
+    """How many times larger a shape must be for a speed to be held along it.
+
+    Infinite where a joint's velocity limit is too low, since a larger shape turns a joint no less per length.
+    """
     lowest = ceilings.min(axis=(0, 1))
     if lowest[0] < speed:
         return np.inf
@@ -250,12 +258,12 @@ def _growth(ceilings: Array, speed: float) -> float:
 
 
 def _down(value: float) -> float:
-    """A positive value rounded down to DIGITS digits that count."""
+    """A positive value rounded down to DIGITS significant digits."""
     places = DIGITS - 1 - math.floor(math.log10(value))
     return round(math.floor(value * 10.0**places * (1.0 + _ROUNDING)) / 10.0**places, max(places, 0))
 
 
 def _up(value: float, digits: int = DIGITS) -> float:
-    """A positive value rounded up to so many digits that count."""
+    """A positive value rounded up to this many significant digits."""
     places = digits - 1 - math.floor(math.log10(value))
     return round(math.ceil(value * 10.0**places * (1.0 - _ROUNDING)) / 10.0**places, max(places, 0))

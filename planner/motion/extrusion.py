@@ -22,15 +22,15 @@ from planner.toolpath.bead import Bead
 from planner.toolpath.runs import prime_time
 
 _ROUNDING = 1e-9  # s
-ADVANCE_RAMP = 0.4  # share of the lag over which pressure is built up at a bead's start and let off at its end,
-LONGEST_RAMP = 0.04  # s, and at most this long: what is left of the error a lag later is below 0.3 %
+ADVANCE_RAMP = 0.4  # share of the lag over which pressure is built up at a bead's start and released at its end,
+LONGEST_RAMP = 0.04  # s, and at most this long: the error left one lag later is below 0.3 %
 
 
 @dataclass(frozen=True)
 class Span:
     """When a bead is laid down: from start to end, and when the nozzle comes to rest at its stops [s].
 
-    material of the bead, by its name; at_home: the robot's rest there before it, if there is one
+    material: name of the bead's; at_home: the robot's rest at home before the bead, if there is one
     """
 
     bead: int
@@ -44,11 +44,10 @@ class Span:
 def events(process: ProcessSpec, spans: Sequence[Span]) -> tuple[Event, ...]:
     """All events of a print whose beads are laid down at `spans`, in order of time; none overlaps another.
 
-    A prime ends as its bead starts, a retract begins as it ends. The print begins at 0 s with the rest at home that
-    `process.start.time` asks for. Fibre is fed from its prime to its cut; after the cut it is drawn, not fed, to the
-    end of its bead. Materials with names are selected at home, the first one when all is hot, any other in a rest there.
-    Raises ValueError where the beads leave less time than that and
-    `process.least_travel_time` ask for.
+    A prime ends as its bead starts, a retract begins as it ends. The print begins at 0 s with a rest of
+    `process.start.time` at home. Fibre is fed from its prime to its cut; after the cut it is drawn, not fed, to the end
+    of its bead. Named materials are selected at home: the first one when everything is hot, any other during a rest
+    there. Raises ValueError if the beads leave too little time for that and for `least_travel_time`.
     """
     first = spans[0].material if spans else ""
     found = _at_start(process, first)
@@ -73,7 +72,7 @@ def events(process: ProcessSpec, spans: Sequence[Span]) -> tuple[Event, ...]:
 
 
 def _at_start(process: ProcessSpec, material: str) -> list[Event]:
-    """Heating, selection of the first material, if it has a name, and purge, at home."""
+    """Events at home before the print: heating, selection of the first material if it is named, and purge."""
     start = process.start
     found = []
     hot = [start.bed_c, start.nozzle_c, *(process.nozzle_c(name) for name in process.materials)]
@@ -87,8 +86,10 @@ def _at_start(process: ProcessSpec, material: str) -> list[Event]:
 
 
 def _at_home(process: ProcessSpec, rest: Rest, bead: int, material: str, before: Sequence[Event]) -> list[Event]:
-    """What is done in a rest at home, in its order: the layer before gets cool, a pause, a change of material. What a pause
-    purges is of the material before, if that changes."""
+    """Events in a rest at home, in order: the previous layer cools, a pause, a change of material.
+
+    A pause purges the material that was in use before the change, if there is one.
+    """
     found, now = [], rest.start
     if rest.cool > 0.0:
         found.append(Event("cool", bead, now, rest.cool, 0.0))
@@ -115,8 +116,8 @@ def filament_area(process: ProcessSpec) -> float:
 def cross_section(section: str, width: Array, height: Array, filament_diameter: float) -> Array:
     """Area (n) [m^2] of a bead of width and height (n) [m].
 
-    A rectangle; rounded: with half a circle at both sides; or a fibre, which is as thick as it comes.
-    Raises InputError where a rounded bead is higher than wide.
+    A rectangle; a rounded one, with a semicircle at each side; or a fibre, which keeps the filament's diameter.
+    Raises InputError if a rounded bead is higher than it is wide.
     """
     if section == "rectangle":
         return width * height
@@ -141,7 +142,7 @@ def deposited_volume(bead: Bead, area: Array, s: Array) -> Array:
 
     The area (n) [m^2] is linear between the bead's samples; its integral is exact.
     """
-    # what varies apart from what does not: a constant area gives area times length to the last digit
+    # the varying part is integrated separately: a constant area gives area times length to the last digit
     extra = area - area[0]
     before = np.concatenate([[0.0], np.cumsum(0.5 * (extra[1:] + extra[:-1]) * np.diff(bead.s))])
     s = np.clip(s, 0.0, bead.length)
@@ -152,10 +153,10 @@ def deposited_volume(bead: Bead, area: Array, s: Array) -> Array:
 
 
 def extruded_volume(bead: Bead, process: ProcessSpec, t: Array, s: Array) -> Array:
-    """Volume (k) [m^3] that has left the nozzle in this bead at the instants t (k) [s], when the nozzle is at s (k) [m].
+    """Volume (k) [m^3] that has left the nozzle in this bead by the instants t (k) [s], with the nozzle at s (k) [m].
 
-    Both never fall, and last from before the bead to behind it. A motor that is only on or off runs at the rate of the
-    commanded speed as long as the bead is laid; any other follows the real speed.
+    Neither t nor s decreases, and both extend beyond the bead's ends. An on/off motor runs at the commanded speed's
+    rate for as long as the bead is laid; any other follows the actual speed.
     """
     area = bead_area(bead, process)
     if process.extruder.motor != "on_off":
@@ -179,11 +180,12 @@ def feed(
     filament_area: float,
     lag: float,
 ) -> Array:
-    """How far the motor has pushed the filament (n) [m] at the instants t (n) [s], uniform.
+    """How far the motor has pushed the filament (n) [m] at uniformly spaced instants t (n) [s].
 
-    extruded (n) [m^3] and flow (n) [m^3/s] in beads (n), -1 in travel. From a cut to the end of its bead fibre is drawn,
-    not pushed; events with an amount push it evenly over their duration. With a lag [s] the filament runs ahead by lag
-    times its rate: flow that follows the motor with that lag is then the bead's.
+    extruded (n) [m^3] and flow (n) [m^3/s] belong to the beads in `bead` (n), which is -1 in travel. From a cut to the
+    end of its bead, fibre is drawn, not pushed; events with an amount push evenly over their duration. With a lag [s]
+    the filament runs ahead by the lag times its rate, so that a flow which follows the motor with that lag is the
+    bead's.
     """
     fed = (extruded - _drawn(t, bead, extruded, events)) / filament_area + _pushed(t, events)
     if lag > 0.0:
@@ -201,9 +203,9 @@ def feed_of_materials(
     flow: Array,
     events: Sequence[Event],
 ) -> Array:
-    """Filament (n) [m] that all motors together have pushed, each its own material, as `feed` has it of one.
+    """Filament (n) [m] that all motors together have pushed, each its own material; see `feed`.
 
-    materials: of the beads, by name; begun (n): the last bead that was begun, whose material is laid if any is.
+    materials: the name of each bead's; begun (n): the last bead begun, whose material is laid if any is.
     """
     lag, names = process.extruder.lag, list(dict.fromkeys(materials))
     if len(names) == 1:
@@ -220,14 +222,14 @@ def feed_of_materials(
 
 
 def _drawn(t: Array, bead: NDArray[np.int32], extruded: Array, events: Sequence[Event]) -> Array:
-    """Volume (n) [m^3] laid down behind cuts, which no motor feeds."""
+    """Volume (n) [m^3] laid down after cuts, which no motor feeds."""
     cuts = [event for event in events if event.kind == "cut"]
     if not cuts:
         return np.zeros(len(t))
-    last = np.flatnonzero((bead >= 0) & (np.append(bead[1:], -1) != bead))  # of each bead; the next holds all of it
+    last = np.flatnonzero((bead >= 0) & (np.append(bead[1:], -1) != bead))  # of each bead; the next counts it whole
     ends = last[np.searchsorted(bead[last], [event.bead for event in cuts])] + 1
     begin = np.interp([event.start for event in cuts], t, extruded)
-    resting = np.searchsorted(t, [event.start for event in cuts]).clip(max=len(t) - 1)  # where a sample tells, exactly
+    resting = np.searchsorted(t, [event.start for event in cuts]).clip(max=len(t) - 1)  # samples in the rest are exact
     rests = t[resting] <= [event.start + event.duration for event in cuts]
     begin = np.where(rests, extruded[resting], begin)
     end = extruded[np.minimum(ends, len(t) - 1)]
@@ -237,7 +239,7 @@ def _drawn(t: Array, bead: NDArray[np.int32], extruded: Array, events: Sequence[
 
 
 def _pushed(t: Array, events: Sequence[Event]) -> Array:
-    """Filament (n) [m] pushed by events, which come one after the other."""
+    """Filament (n) [m] pushed by events, which do not overlap."""
     pushes = [event for event in events if event.amount != 0.0]
     if not pushes:
         return np.zeros(len(t))
@@ -247,15 +249,15 @@ def _pushed(t: Array, events: Sequence[Event]) -> Array:
 
 
 def _advance(bead: NDArray[np.int32], extruded: Array, flow: Array, lag: float, dt: float) -> Array:
-    """The flow (n) that pressure is kept for: that of the sample, coming and going smoothly at the ends of a bead."""
+    """The flow (n) for which pressure is maintained: that of each sample, ramped smoothly at the ends of a bead."""
     laid = np.flatnonzero(bead >= 0)
     if len(laid) == 0:
         return np.zeros(len(flow))
     edges = np.flatnonzero(np.diff(bead[laid])) + 1
     first, last = np.append(0, edges), np.append(edges, len(laid)) - 1
-    # the rate at a sample's own instant: means over its dt and over twice that tell what lies between (Richardson)
+    # the rate at a sample's own instant, from the means over dt and over 2 dt (Richardson extrapolation)
     rate = flow[laid] + (flow - np.gradient(extruded, dt))[laid] / 3.0
-    # a bead's first and last sample also carry what flows in the part sample beside them
+    # a bead's first and last samples also carry the flow of the partial sample next to them
     rate[first] = rate[np.minimum(first + 1, last)]
     rate[last] = rate[np.maximum(last - 1, first)]
     share = (bead >= 0).astype(np.float64)

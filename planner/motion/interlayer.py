@@ -1,11 +1,11 @@
-"""Waits between beads, so that what lies below is neither too fresh nor too old when it is laid on.
+"""Waits between beads, so that the material below is neither too fresh nor too old when a bead is laid on it.
 
-The time from one place to a place above it is the time between the beginnings of their beads, and what the nozzle takes into
-each. So a window of ages is a bound on the difference of two beginnings for each pair of beads of which one lies on the other:
-a system of difference constraints, together with what each bead and each travel takes. Its least solution, by the longest
-paths from the first bead on (Bellman and Ford), is the earliest that each bead can begin: the waits in it are where they are
-needed, and no longer. Where the system has none, the greatest age that is asked for is raised to the least that has one, and
-the verifier tells.
+The time between two places, one on top of the other, follows from the start times of their beads and the time the
+nozzle takes from each start to the place. So a window of ages bounds the difference of two start times for each pair of
+beads that touch: together with the durations of beads and travels, a system of difference constraints. Its least
+solution, found by longest paths from the first bead (Bellman and Ford), gives the earliest start of each bead: it waits
+only where it must, and no longer than needed. If the system has no solution, the greatest age is raised to the least
+value that has one, and the verifier reports it.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.contacts import BeadContacts, contacts
 
 _STEP = 2e-3  # s between instants at which a bead's arc length is known
-_SPARE = 5e-3  # s by which a window is held more closely than asked: places are looked at a quarter of a width apart
-_SLIGHT = 1e-3  # s that nobody waits for
-_CLOSE = 0.01  # s to which the least window is found
+_SPARE = 5e-3  # s by which the window is narrowed: places are checked only every quarter of a bead width
+_SLIGHT = 1e-3  # s: shorter waits are left out
+_CLOSE = 0.01  # s: tolerance to which the least feasible window is found
 _SWEEPS = 200
-_MOST_WORK = 2_000_000_000  # beads times lags, up to which it is made sure that there is no solution
+_MOST_WORK = 2_000_000_000  # beads × lags: up to this size, infeasibility is proved
 _ROUNDING = 1e-9  # s
-_ROUNDS = 8  # of travels that become ones with a rest
+_ROUNDS = 8  # of replacing travels by travels with a rest
 
 
 @dataclass(frozen=True)
 class Lags:
-    """How much later (p) a bead begins than another, by their places among those that are timed, at least and at most [s]."""
+    """How much later (p) one bead must begin than another, at least and at most [s]; indices among the timed beads."""
 
     before: Ints
     after: Ints
@@ -49,13 +49,13 @@ class Lags:
 
 
 def lags_of(process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath], touching: BeadContacts) -> Lags:
-    """What the window asks of the beginnings of beads; timed: all beads, or the last ones."""
+    """Bounds that the window sets on the starts of beads; timed: all beads, or the last ones."""
     spec, first = process.interlayer_time, len(toolpath.beads) - len(timed)
     least = 0.0 if spec is None or spec.least is None else spec.least + _SPARE
     most = np.inf if spec is None or spec.most is None else spec.most - _SPARE
     ends = np.zeros(
         (2, 2, len(touching))
-    )  # of upper and lower beads: when the nozzle comes to each place, and leaves it
+    )  # of upper and lower beads: when the nozzle reaches each place, and leaves it
     for k, (number, at, around) in enumerate(
         ((touching.upper, touching.at, touching.around), (touching.lower, touching.below, touching.beneath))
     ):
@@ -63,7 +63,7 @@ def lags_of(process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath]
         edges = np.searchsorted(number[order], np.arange(first, len(toolpath.beads) + 1))
         for path, a, b in zip(timed, edges[:-1], edges[1:], strict=True):
             rows = order[a:b]
-            rows = rows[touching.upper[rows] != touching.lower[rows]]  # a bead on its own earlier turn is as it is
+            rows = rows[touching.upper[rows] != touching.lower[rows]]  # a bead on its own earlier turn cannot wait
             if len(rows):
                 times, way = _instants(path)
                 ends[k, 0, rows] = np.interp(at[rows] - around[rows], way, times)
@@ -76,7 +76,7 @@ def lags_of(process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath]
 
 
 def _instants(path: TimedPath) -> tuple[Array, Array]:
-    """Instants (k) [s] of a bead, and its arc length (k) [m] then, which never falls."""
+    """Instants (k) [s] of a bead, and the arc length (k) [m] reached by then, which never decreases."""
     times = np.linspace(0.0, path.duration, int(np.ceil(path.duration / _STEP)) + 2)
     return times, np.maximum.accumulate(path.at(times)[1])
 
@@ -84,10 +84,10 @@ def _instants(path: TimedPath) -> tuple[Array, Array]:
 def begins(
     process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath], travels: Sequence[Travel], lags: Lags
 ) -> Array:
-    """When each bead (n) begins with its run-in at the earliest, from the first one's on [s], if there is a rest before each.
+    """Earliest start (n) of each bead's run-in [s], counted from the first one's, if the robot may rest before each.
 
-    travels: as they are, without waits for what is below. Where no waits keep the greatest lags, these are taken as much
-    longer as they must be, all alike.
+    travels: as planned, without waits for the material below. If no waits satisfy the greatest lags, all of these are
+    raised by the same amount, the least that suffices.
     """
     n, by_home = len(timed), visits(process, toolpath.beads, timed)
     first = len(toolpath.beads) - n
@@ -107,7 +107,7 @@ def begins(
         return found
     free = _longest(n, edges, lags, np.inf)
     if free is None:
-        raise RuntimeError("beads that follow each other begin before each other")
+        raise RuntimeError("beads would have to begin before those that they follow")
     low, high = 0.0, float(np.max(free[lags.after] - free[lags.before] - lags.most))
     while high - low > _CLOSE:
         middle = 0.5 * (low + high)
@@ -120,8 +120,10 @@ def begins(
 
 
 def _longest(n: int, edges: tuple[Ints, Ints, Array], lags: Lags, more: float) -> Array | None:
-    """The earliest beginnings (n) of beads, each of which follows others (edges) by so much at least, and others by what their
-    lags are at most, and `more` [s]; None where there are none."""
+    """Earliest starts (n) of beads that obey the least delays in `edges` and the greatest lags plus `more` [s].
+
+    None if there are none.
+    """
     before, after, least = edges
     if np.isfinite(more):
         bound = np.isfinite(lags.most)
@@ -133,7 +135,7 @@ def _longest(n: int, edges: tuple[Ints, Ints, Array], lags: Lags, more: float) -
         return found
     key = before.astype(np.int64) * n + after
     order = np.lexsort((-least, key))
-    taken = order[np.append(True, np.diff(key[order]) != 0)[: len(order)]]  # of several the one that asks for most
+    taken = order[np.append(True, np.diff(key[order]) != 0)[: len(order)]]  # of parallel edges the strictest
     graph = coo_array((-least[taken], (before[taken], after[taken])), shape=(n, n)).tocsr()
     try:
         return np.asarray(-bellman_ford(graph, indices=0))
@@ -142,9 +144,11 @@ def _longest(n: int, edges: tuple[Ints, Ints, Array], lags: Lags, more: float) -
 
 
 def _swept(n: int, before: Ints, after: Ints, least: Array) -> Array | None:
-    """The same in few sweeps over all edges in the order of beads, where it can be had so: a sweep takes whatever changes to
-    the end at once, and only edges that lead back, of greatest lags, ask for more of them. None where it cannot, or there is
-    no solution."""
+    """The same by a few sweeps over all edges in the order of beads, where that suffices.
+
+    One sweep carries every change through to the end; only edges that lead back, those of greatest lags, call for
+    another. None if the sweeps do not suffice, or if there is no solution.
+    """
     order = np.argsort(after, kind="stable")
     before, after, least = before[order], after[order], least[order]
     chain = np.full(n - 1, -np.inf)
@@ -163,8 +167,7 @@ def _swept(n: int, before: Ints, after: Ints, least: Array) -> Array | None:
 
 @njit
 def _sweep(start: Array, before: Ints, after: Ints, more: Array) -> bool:
-    """Put beginnings (n) off where edges, sorted by the beads that they lead to, or the bead before ask for it; whether any
-    has been."""
+    """Delay starts (n) as the previous bead and edges, sorted by the beads they lead to, require; whether any was."""
     later, k, due = False, 0, start[0]
     for j in range(len(start)):
         due = max(due, start[j])
@@ -177,7 +180,7 @@ def _sweep(start: Array, before: Ints, after: Ints, more: Array) -> bool:
 
 
 def _least(process: ProcessSpec, travel: Travel, visit: Visit | None) -> float:
-    """How long a travel takes at least [s], with the pause and the change of material in it."""
+    """Least duration of a travel [s], including its pause and change of material."""
     if not isinstance(travel, ViaRest):
         return travel.duration
     visit = visit or Visit()
@@ -194,8 +197,11 @@ def with_rests(
     obstacles: Obstacles,
     touching: BeadContacts,
 ) -> list[Travel]:
-    """The travels with a rest in each before which what is below has to grow older: at home, or where the way there and back
-    takes longer than the wait, lifted above the bead before; or slower ones, where neither can be reached."""
+    """The travels, with a rest in each one after which a bead would be laid on material that is too fresh.
+
+    The rest is at home or, where the way there and back takes longer than the wait, lifted above the previous bead.
+    Where neither can be reached, the travel is slower instead.
+    """
     lags, out = lags_of(process, toolpath, timed, touching), list(travels)
     for _ in range(_ROUNDS):
         within = _too_short(begins(process, toolpath, timed, out, lags), timed, out)
@@ -208,7 +214,7 @@ def with_rests(
 
 
 def _too_short(start: Array, timed: Sequence[TimedPath], travels: Sequence[Travel]) -> Mapping[int, float]:
-    """Travels without a rest, by their number, that would have to take longer, and how long [s]."""
+    """Travels without a rest that would have to take longer, by number, and their required duration [s]."""
     ends = start[:-1] + [path.duration for path in timed[:-1]]
     time = start[1:] - ends
     return {
@@ -219,5 +225,5 @@ def _too_short(start: Array, timed: Sequence[TimedPath], travels: Sequence[Trave
 
 
 def contacts_within(process: ProcessSpec, toolpath: Toolpath) -> BeadContacts | None:
-    """Which places lie on which, where the process asks for a window of ages; else None."""
+    """Which places lie on which, if the process sets a window of ages; else None."""
     return None if process.interlayer_time is None else contacts(toolpath.beads)

@@ -26,8 +26,8 @@ from planner.toolpath.contacts import BeadContacts
 from planner.toolpath.runs import least_travel_time
 
 BLOCK = 32768  # samples
-_SLIGHT = 1e-3  # s that nobody waits for
-_ON_TIME = 1e-9  # of a sample: an instant this close behind a sample counts as on it
+_SLIGHT = 1e-3  # s: shorter waits are left out
+_ON_TIME = 1e-9  # share of dt: an instant this soon after a sample counts as on it
 
 
 def join(
@@ -41,9 +41,9 @@ def join(
 ) -> Trajectory:
     """Rest at home while the extruder gets ready, then travel, bead, travel, …, travel, sampled every dt [s].
 
-    timed: all beads of the toolpath, or the last ones. Travel by way of home rests there as long as its visit takes (see
-    `visits`), or what is below has to grow older; touching: what that is told from, see `contacts_within`. At the end the
-    robot rests.
+    timed: all beads of the toolpath, or the last ones; touching: which places lie on which, see `contacts_within`.
+    Travel by way of home rests there as long as its visit takes (see `visits`), or until the material below is old
+    enough. The robot ends at rest.
     """
     before = len(toolpath.beads) - len(timed)
     rests = _rests(toolpath, process, timed, travels, touching)
@@ -59,7 +59,7 @@ def join(
     q = np.empty((n, len(cell.joint_names)))
     s, s_dot, rate, volume = np.zeros(n), np.full(n, np.nan), np.zeros(n), np.zeros(n)
     bead, layer = np.full(n, TRAVEL, dtype=np.int32), np.empty(n, dtype=np.int32)
-    begun = np.zeros(n, dtype=np.int32)  # the last bead that was begun, with its run-in
+    begun = np.zeros(n, dtype=np.int32)  # the last bead begun, from its run-in on
     done = 0.0
     for k, piece in enumerate(pieces):
         rows, i = slice(first[k], first[k + 1]), before + k // 2
@@ -119,11 +119,11 @@ def _rests(
     travels: Sequence[Travel],
     touching: BeadContacts | None,
 ) -> dict[int, Rest]:
-    """When and how long the robot rests before beads, by their index."""
+    """When and how long the robot rests before beads, by bead index."""
     if not any(isinstance(travel, ViaRest) for travel in travels):
         return {}
     by_home, beads = visits(process, toolpath.beads, timed), toolpath.beads
-    start = None  # when beads are to begin, from the first one's on [s]
+    start = None  # when beads are to begin, after the first one's start [s]
     if touching is not None:
         start = begins(process, toolpath, timed, travels, lags_of(process, toolpath, timed, touching))
     before, now, first = len(beads) - len(timed), process.start.time, 0.0
@@ -149,7 +149,7 @@ def _rests(
 
 
 def _whole(travel: Travel, process: ProcessSpec, at_home: Rest | None) -> Cubics:
-    """One motion of a travel, with the rest at home in it, if it goes there."""
+    """A travel as one motion, with its rest, if it has one."""
     if not isinstance(travel, ViaRest):
         return travel
     time = 0.0 if at_home is None else at_home.time(process)
@@ -165,7 +165,7 @@ def _spans(
 ) -> list[Span]:
     """When the beads are laid down, if the extruder does anything before, in or after them.
 
-    starts: of all pieces, travel and beads in turn [s].
+    starts: of all pieces, alternating travel and beads [s].
     """
     if least_travel_time(process) <= 0.0 and process.fibre is None and not process.materials and not rests:
         return []
@@ -186,7 +186,7 @@ def _too_short(line: Bead, dt: float) -> str:
 def _flow(at_edges: Array, inside: NDArray[np.bool_], dt: float) -> Array:
     """Mean flow (m) of a bead's samples, from the volume (m + 1) laid down half a sample before and after each."""
     flowing = flow(at_edges, dt)
-    # what flows in the half sample before the first and after the last one of a bead belongs to the bead
+    # flow in the half sample before a bead's first sample and after its last one belongs to the bead
     start, end = np.flatnonzero(inside)[[0, -1]]
     flowing[start] += flowing[:start].sum()
     flowing[end] += flowing[end + 1 :].sum()

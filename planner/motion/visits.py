@@ -1,6 +1,6 @@
-"""Rests at home between beads: until a layer is cool, for a pause that was asked for, for a change of material.
+"""Rests at home between beads: until a layer is cool, for a requested pause, for a change of material.
 
-Waits for what is below a bead are `planner.motion.interlayer`'s.
+Waits for the material below a bead are handled in `planner.motion.interlayer`.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from planner.problem.by_layer import PauseSpec
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead
 
-_SLIGHT = 1e-3  # s by which a layer may be too quick without anybody going home
+_SLIGHT = 1e-3  # s by which a layer may be too quick without a visit home
 
 
 @dataclass(frozen=True)
 class Visit:
     """Why the robot goes home before a bead.
 
-    layer_before  first bead of the layer that may not have taken as long as a layer must; None if it surely has
-    pause         what is asked for before the bead's layer
+    layer_before  first bead of the previous layer if that may have been laid too quickly; None if it surely was not
+    pause         requested before the bead's layer
     change        whether the bead is of another material
     """
 
@@ -32,7 +32,7 @@ class Visit:
 
 @dataclass(frozen=True)
 class Rest:
-    """A visit in time: it begins at `start`, and the layer before gets `cool` more [s] before anything else is done."""
+    """A scheduled visit: it begins at `start`, and first lets the previous layer cool for another `cool` [s]."""
 
     start: float
     cool: float
@@ -70,7 +70,10 @@ def visits(process: ProcessSpec, beads: Sequence[Bead], timed: Sequence[TimedPat
 
 
 def rest_of(process: ProcessSpec, visit: Visit, start: float, after: float, begun: float) -> Rest:
-    """A visit that begins at a time [s]; the bead is laid `after` it ends [s], that of `layer_before` was `begun` [s]."""
+    """Schedule a visit from `start` [s].
+
+    after: time from its end until the bead is laid [s]; begun: when the bead `layer_before` was begun [s]
+    """
     rest = Rest(start, 0.0, visit.pause, visit.change)
     if visit.layer_before is None or process.layer_time is None:
         return rest
@@ -79,5 +82,5 @@ def rest_of(process: ProcessSpec, visit: Visit, start: float, after: float, begu
 
 
 def _laying(path: TimedPath, bead: Bead) -> float:
-    """How long a bead is laid [s], without its runs."""
+    """How long it takes to lay a bead [s], without its runs."""
     return path.when(bead.length) - path.when(0.0)

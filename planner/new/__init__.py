@@ -1,1 +1,1 @@
-"""A problem file of one's own: from answers to a few questions, or from a problem that ships."""
+"""A new problem file: from answers to a few questions, or from a problem that ships."""

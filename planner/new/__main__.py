@@ -1,4 +1,4 @@
-"""A problem file of one's own, from a few questions or from a problem that ships."""
+"""A new problem file, from a few questions or from a problem that ships."""
 
 from planner.base.launch import end, launch
 

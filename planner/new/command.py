@@ -1,4 +1,4 @@
-"""The command line of `python -m planner.new`, and problems that exist as the start of one's own."""
+"""The command line of `python -m planner.new`, and copies of existing problems to start from."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from planner.problem.problem import parse_problem
 from planner.problem.rewrite import changed_text, paths_in
 
 # ----------------------------------------------------------------------------------------------------
-# A problem that exists, as the start of one's own: its file and all files that it names, side by side.
+# A copy of an existing problem to start from: its file and all files that it names, in one folder.
 
 _MODELINE = re.compile(rf"{re.escape(MODELINE)}[^\n]*\n")
-# files that name others again: they stay where they are
+# files that name further files: these are not copied
 ROBOTS = {("cell", "arm"), ("cell", "base", "robot"), ("cell", "positioner", "robot")}
 
 
 def copied(problem: Problem, file: Path) -> dict[Path, bytes]:
-    """What is to be written for a copy of a problem: path → content, the problem file itself last.
+    """The files to write for a copy of a problem: path → content, the problem file itself last.
 
-    Comments stay. Raises OutputError where another file of the same name stands already, InputError for one that
-    cannot be read.
+    Comments are kept. Raises OutputError if a different file of the same name exists already, InputError if one cannot
+    be read.
     """
     folder = file.parent
     changes: dict[str, float | list[float] | str] = {}
@@ -52,7 +52,7 @@ def copied(problem: Problem, file: Path) -> dict[Path, bytes]:
         if target.resolve() == path.resolve() or contents.get(target) == content:
             continue
         if target in contents or (target.exists() and target.read_bytes() != content):
-            raise OutputError(f"{target} is there already, and is another file than {path}: choose another folder")
+            raise OutputError(f"{target} is there already, and differs from {path}: choose another folder")
         contents[target] = content
     text = changed_text(problem, {**changes, "name": identifier_like(file.stem)}, folder)
     text = modeline(folder) + _MODELINE.sub("", text, count=1)
@@ -120,14 +120,14 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
 
 def _over(ask: Asker, file: Path) -> bool:
     return bool(
-        ask(f"{file} is there already; write over it? yes or no", "no", name_of("answer", ("yes", "no"))) == "yes"
+        ask(f"{file} is there already; overwrite it? yes or no", "no", name_of("answer", ("yes", "no"))) == "yes"
     )
 
 
 def _checked(answers: Answers, file: Path) -> str:
-    """The text of the problem file, with the first start posture in which nothing is too near anything.
+    """The text of the problem file, with the first home posture that keeps all clearances.
 
-    Raises the InputError of the first mistake that `planner.check` would find in it.
+    Raises the InputError for the first mistake that `planner.check` would find in it.
     """
     mistakes: tuple[InputError, ...] = ()
     for home_deg in answers["homes_deg"]:
@@ -141,7 +141,7 @@ def _checked(answers: Answers, file: Path) -> str:
 
 
 def _write(contents: Mapping[Path, bytes]) -> None:
-    """Write files, each beside its place, and move them there whole when all are written."""
+    """Write the files to a temporary folder next to their place; move them there once all are complete."""
     folder = next(iter(contents)).parent
     try:
         with tempfile.TemporaryDirectory(prefix=".new-", dir=folder) as beside:

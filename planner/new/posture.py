@@ -10,15 +10,15 @@ from planner.base.arrays import Array
 from planner.cell.cell import frame_from_z, turned_into
 from planner.cell.robot import Robot, chain_of
 
-ROLLS = 24  # tried rotations about the nozzle's axis
-REDUNDANT = 9  # tried angles of a redundant joint, over the middle half of its range
-GOOD_ANGLE = np.radians(30.0)  # from an end stop: more of it is no better
-GOOD_SIGMA = 0.2  # likewise, of the least singular value of the Jacobian (metres)
-FAR = (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75)  # tried distances of the part from the base, as shares of the reach
-HIGH = (0.0, 0.15, 0.3, 0.45)  # and heights
+ROLLS = 24  # rotations about the nozzle axis to try
+REDUNDANT = 9  # angles of a redundant joint to try, over the middle half of its range
+GOOD_ANGLE = np.radians(30.0)  # rad from an end stop: more than this counts as no better
+GOOD_SIGMA = 0.2  # likewise for the smallest singular value of the Jacobian (lengths in metres)
+FAR = (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75)  # distances of the part from the base to try, as fractions of the reach
+HIGH = (0.0, 0.15, 0.3, 0.45)  # heights to try, likewise
 MOST_POSTURES = 8
-DIFFERENT = np.radians(25.0)  # of some joint: postures that are nearer are one
-ROUND = 0.01  # m: places are round figures
+DIFFERENT = np.radians(25.0)  # rad: postures that differ by less in every joint count as one
+ROUND = 0.01  # m: places are rounded to this
 OUT = np.array([0.0, 0.0, 1.0])
 
 
@@ -26,8 +26,9 @@ OUT = np.array([0.0, 0.0, 1.0])
 class Reached:
     """How well points are reached.
 
-    worth     of the worst one, from 0 (out of reach) to 1
-    postures  (m, n) of the first point [rad], the best one first, none like another; links may be too near each other in one
+    worth     of the worst point, from 0 (out of reach) to 1
+    postures  (m, n) that reach the first point [rad], best first, no two alike; in some, links may be too close to each
+              other
     """
 
     worth: float
@@ -37,11 +38,11 @@ class Reached:
 def reached(robot: Robot, tip: Array, points: Array, axis: Array, along: Array = OUT) -> Reached:
     """How well an arm at the world's origin reaches points (k, 3) [m] with its nozzle along an axis (world).
 
-    tip, along  of the nozzle in the flange frame [m], and where it points there; the flange's z mostly
+    tip, along  the nozzle's tip [m] and its direction in the flange frame; by default, it points along z
     """
     inverse, model = robot.inverse, robot.model
     if inverse is None:
-        raise ValueError(f"{robot.key} is no arm")
+        raise ValueError(f"{robot.key} is not an arm")
     T_flange_nozzle = frame_from_z(tip, along)
     turns = np.linspace(0.0, 2.0 * np.pi, ROLLS, endpoint=False)
     about = np.tile(np.eye(4), (ROLLS, 1, 1))
@@ -68,7 +69,7 @@ def reached(robot: Robot, tip: Array, points: Array, axis: Array, along: Array =
 
 
 def _unlike(q: Array, worth: Array) -> Array:
-    """The best of postures (m, n) that differ from each other; worth (m) is 0 of those that are none."""
+    """The best of the postures q (m, n) that differ from each other; worth (m) is 0 where none was found."""
     kept: list[Array] = []
     for i in np.argsort(-worth, kind="stable"):
         if not worth[i] > 0.0 or len(kept) == MOST_POSTURES:
@@ -79,8 +80,8 @@ def _unlike(q: Array, worth: Array) -> Array:
 
 
 def usual_place(robot: Robot, tip: Array, points: Array, axis: Array, reach: float) -> Array | None:
-    """The round place (3) [m] in front of an arm from which points (k, 3) of a part's frame are reached best; None where there
-    is no place from which all are."""
+    """The best place (3) [m], rounded, in front of an arm for a part whose points (k, 3), in the part's frame [m], it
+    has to reach; None if no place brings all of them within reach."""
     best, place = 0.0, None
     for high in HIGH:
         for far in FAR:

@@ -1,4 +1,4 @@
-"""The problem file that answers make, with comments that say what else it can hold."""
+"""The problem file made from the answers, with comments on what else it can hold."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from planner.problem.describe import MODELINE
 from planner.problem.yaml_file import yaml_text
 
 BED_MM = 20.0  # thickness of the plate under a part on a bed
-AROUND_MM = 100.0  # how far it reaches beyond what is printed
+AROUND_MM = 100.0  # how far the plate extends beyond the print
 NARROW_MM = 20.0  # radius of the stand of a part on a positioner
 
 
 def modeline(folder: Path) -> str:
-    """The first line of a problem file in a folder, which tells editors where the schema is; empty without one."""
+    """The first line of a problem file in a folder: it tells editors where the schema is; empty without a schema."""
     if not PROBLEM_SCHEMA.is_file():
         return ""
     path = Path(os.path.relpath(PROBLEM_SCHEMA.resolve(), folder.resolve())).as_posix()
@@ -26,7 +26,7 @@ def modeline(folder: Path) -> str:
 
 
 def problem_text(answers: Answers, file: Path, home_deg: Sequence[float]) -> str:
-    """The text of a problem file, the arm beginning in a posture."""
+    """The text of a problem file whose home posture is given."""
     return f"""\
 {modeline(file.parent)}\
 # {_title(answers)}.
@@ -38,8 +38,8 @@ name: {answers.name}
 
 # The world is the arm's base frame.
 cell:
-  arm: {answers.arm.key}  # {answers.arm.name}; python -m planner.robots {answers.arm.key} tells its limits
-  # The nozzle as seen from the flange; what its outline is, and what head carries it, is assumed until you say so:
+  arm: {answers.arm.key}  # {answers.arm.name}; python -m planner.robots {answers.arm.key} lists its limits
+  # The nozzle as seen from the flange; its outline and the print head are assumed until you give them:
   #   profile_mm: [[0, 0.6], [7, 4.6], [40, 4.6]], head: {{motor: {{box_mm: [40, 40, 60], centre_mm: [0, 0, 30]}}}}
   nozzle: {{tip_mm: {_list(answers["tip_mm"])}, axis: [0, 0, 1], diameter_mm: {answers["diameter_mm"]}}}
   home_deg: {_list(home_deg)}  # before and after the print; above the part
@@ -95,7 +95,7 @@ def _holder(answers: Answers) -> str:
         width, length = (side + 2 * AROUND_MM for side in _size(answers))
         return (
             f"  bed_mm: {_list((x, y, z))}  # origin of the part frame\n"
-            "  fixtures:  # what stands in the cell, or is carried with the part (on: part)\n"
+            "  fixtures:  # bodies in the cell, or carried with the part (on: part)\n"
             f"    bed: {{box_mm: {_list((width, length, BED_MM))}, centre_mm: {_list((x, y, z - BED_MM / 2))}}}  # assumed"
         )
     return (
@@ -104,7 +104,7 @@ def _holder(answers: Answers) -> str:
         f"    origin_mm: {_list((x, y, z))}  # centre of its plate\n"
         f"    part_mm: {_list((0, 0, STAND_MM))}  # the part frame stands above it and turns with it\n"
         "    free: [rotation]  # axes that the planner may move; the others stay where held_deg says, or at 0\n"
-        "  fixtures:  # what stands in the cell, or is carried with the part\n"
+        "  fixtures:  # bodies in the cell, or carried with the part (on: part)\n"
         f"    stand: {{cylinder: {{radius_mm: {NARROW_MM:g}, height_mm: {STAND_MM:g}}}, "
         f"centre_mm: {_list((0, 0, -STAND_MM / 2))}, on: part}}  # assumed"
     )
@@ -126,7 +126,7 @@ def _part(answers: Answers) -> str:
 
 def _layers(answers: Answers) -> str:
     what = answers.what
-    lines = ["# What is printed. Files are counted from this file's folder.", "layers:"]
+    lines = ["# The layers to print. Paths of files are relative to this file's folder.", "layers:"]
     if what == "pattern":
         size = _list(answers["size_mm"])
         lines.append(f"  source: {{pattern: {answers['pattern']}, cell_mm: {answers['cell_mm']}, size_mm: {size}}}")
@@ -160,4 +160,6 @@ def _bead_height(answers: Answers) -> str:
 def _runs(answers: Answers) -> str:
     if answers.what != "wing":
         return ""
-    return "  run_in_mm: 1.2  # short and steep, so that the nozzle keeps clear of the layers beside\n  ramp_deg: 45\n"
+    return (
+        "  run_in_mm: 1.2  # short and steep, so that the nozzle keeps clear of neighbouring layers\n  ramp_deg: 45\n"
+    )

@@ -1,4 +1,4 @@
-"""The questions of `python -m planner.new`, on the terminal or to a pipe; each answer is checked when it is given."""
+"""The questions of `python -m planner.new`, at a terminal or through a pipe; every answer is checked at once."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ from planner.toolpath.svg.document import read_document
 from planner.toolpath.svg.drawing import Drawing
 
 # ----------------------------------------------------------------------------------------------------
-# Questions on the terminal, or to a pipe: each answer is checked when it is given.
+# Asking, at a terminal or through a pipe: every answer is checked at once.
 
-Check = Callable[[str], Any]  # a text → the answer; raises ValueError in words
+Check = Callable[[str], Any]  # text → answer; raises ValueError with a readable reason
 
 
 class _Prompt(PromptBase[Any]):
-    """A question whose answer is whatever its check makes of the text."""
+    """A question whose answer is what its check returns for the text."""
 
     response_type = str
     prompt_suffix = " "
     check: Check = str
 
     def process_response(self, value: str) -> Any:
-        """Return what the check makes of an answer; ask again where it refuses."""
+        """Return the checked answer; ask again if the check refuses it."""
         try:
             return self.check(value.strip())
         except ValueError as error:
@@ -57,19 +57,19 @@ class _Prompt(PromptBase[Any]):
 
 @dataclass(frozen=True)
 class Asker:
-    """Asks on a console; with `take_defaults` nobody is asked.
+    """Asks on a console; with `take_defaults`, every question takes its default unasked.
 
-    At a terminal a wrong answer is told and asked for again. In a pipe it ends the command: what follows it would be
-    answers to other questions.
+    At a terminal, a wrong answer is reported and the question asked again. In a pipe it ends the command, because the
+    lines after it answer other questions.
     """
 
     console: Console
     take_defaults: bool = False
 
     def __call__(self, question: str, default: str, check: Check) -> Any:
-        """The answer to a question; an empty one is the default, an empty default must be answered.
+        """The answer to a question; an empty answer takes the default, and is refused if the default is empty.
 
-        Raises InputError for a wrong answer of a pipe, KeyboardInterrupt where the input ends.
+        Raises InputError for a wrong answer from a pipe, KeyboardInterrupt if the input ends.
         """
         if self.take_defaults:
             return check(default)
@@ -91,7 +91,7 @@ class Asker:
         if sys.stdin.isatty():
             return prompt()
         text = prompt.get_input(self.console, prompt.make_prompt(...), False).strip()
-        self.console.print()  # nobody has typed an end of the line
+        self.console.print()  # nobody has typed a newline
         try:
             return answered(text)
         except ValueError as error:
@@ -99,7 +99,7 @@ class Asker:
 
 
 def name_of(kind: str, names: Collection[str] | Mapping[str, str]) -> Check:
-    """One of some names."""
+    """A check for one of some names."""
 
     def check(text: str) -> str:
         if text in names:
@@ -112,12 +112,12 @@ def name_of(kind: str, names: Collection[str] | Mapping[str, str]) -> Check:
 
 
 def field_of(model: Model, name: str) -> Check:
-    """A value of a field of a problem, in the file's unit; lists with or without brackets."""
+    """A check for the value of a problem's field, in the file's unit; lists with or without brackets."""
     return lambda text: read_value(described(model)[name], text)
 
 
 def file_in(folder: Path, read: Callable[[Path], object]) -> Check:
-    """A file, counted from the folder of the problem file, that can be read."""
+    """A check for a readable file, its path relative to the problem file's folder."""
 
     def check(text: str) -> str:
         try:
@@ -130,7 +130,7 @@ def file_in(folder: Path, read: Callable[[Path], object]) -> Check:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The questions, one after the other: what is asked depends on what was answered.
+# The questions, one after another: which ones are asked depends on the answers so far.
 
 Values = dict[str, Any]
 
@@ -145,15 +145,15 @@ WHAT = {
 PATTERN_ON, DRAWING_ON = ("plane", "dome"), ("plane", "dome", "cylinder")
 DOWN, FORWARDS = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0])
 ABOVE = 0.1  # m from the part to the nozzle at home
-STAND_MM = 60.0  # height of the stand that a part on a positioner stands on
-UNKNOWN_MM = 100.0  # size that is assumed of what only a file knows
-WING_ABOVE_MM = 2.7  # lower surface of a wing above the bed: two curved layers of support and some level ones
-_LARGEST_WAYPOINTS = 500_000_000  # bytes, only to look whether it is text
+STAND_MM = 60.0  # height of the stand under a part on a positioner
+UNKNOWN_MM = 100.0  # assumed size of a print whose extent only its file knows
+WING_ABOVE_MM = 2.7  # height of a wing's lower surface above the bed: two curved layers of support and some level ones
+_LARGEST_WAYPOINTS = 500_000_000  # bytes; the file is read only to see whether it is text
 
 
 @dataclass(frozen=True)
 class Answers:
-    """All that was answered, in the file's units; `values` by words of this module, see `problem_text`."""
+    """All answers, in the file's units; the keys of `values` are this module's own, see `problem_text`."""
 
     name: str
     arm: Robot
@@ -166,7 +166,7 @@ class Answers:
 
 
 def answers_to(ask: Asker, file: Path, name: str) -> Answers:
-    """Ask for all that a problem needs."""
+    """Ask for everything a problem needs."""
     given: Values = {}
 
     def value(key: str, question: str, default: str, check: Check) -> Any:
@@ -178,11 +178,11 @@ def answers_to(ask: Asker, file: Path, name: str) -> Answers:
             ask.console.print(f"  {word:<12} {text}", style="dim", highlight=False, markup=False, soft_wrap=True)
         return str(ask(question, default, name_of("choice", kinds)))
 
-    name = ask("name of the problem, a letter, then letters, digits or _", name, _identifier)
+    name = ask("name of the problem: a letter, then letters, digits or _", name, _identifier)
     robot = read_robot(ROBOTS / f"{choose('arm', shipped_robots(arms=True), 'irb140')}.yaml")
     value("tip_mm", "nozzle tip in the flange frame, x y z [mm]", "0 0 150", field_of(NozzleSpec, "tip"))
     value("diameter_mm", "bore of the nozzle [mm]", "0.6", field_of(NozzleSpec, "diameter"))
-    # a part is not held by what slides
+    # robots with sliding joints are not offered for this
     others = shipped_robots(arms=False).items()
     turning = {key: name for key, name in others if not any(read_robot(ROBOTS / f"{key}.yaml").slides)}
     holders = {"bed": "a fixed bed"} | turning
@@ -229,7 +229,7 @@ def _drawing(value: Callable[..., Any], folder: Path) -> None:
 
 
 def _body(value: Callable[..., Any], kinds: tuple[str, ...]) -> None:
-    """What it is printed on."""
+    """Ask for the body to print on."""
     body = value("body", f"printed on: {', '.join(kinds)}", "plane", name_of("body", kinds))
     if body == "dome":
         value("radius_mm", "radius of the dome, a half ball [mm]", "60", field_of(SphereSpec, "radius"))
@@ -251,7 +251,7 @@ def _mesh(value: Callable[..., Any], folder: Path) -> None:
 
 
 def _wing(value: Callable[..., Any], folder: Path) -> None:
-    value("naca", "section, four digits (NACA)", "0015", _naca)
+    value("naca", "four-digit NACA section", "0015", _naca)
     value("chord_mm", "length of its chord [mm]", "60", field_of(AerofoilSpec, "chord"))
     value("span_mm", "its span [mm]", "15", field_of(AerofoilSpec, "span"))
 
@@ -267,7 +267,7 @@ SOURCES: dict[str, Callable[[Callable[..., Any], Path], None]] = {
 
 
 def _place(value: Callable[..., Any], robot: Robot, holder: str, given: Values) -> None:
-    """Where the part stands, and the arm's posture above it; a place that the arm does not reach is asked for again."""
+    """Ask where the part stands and find the arm's postures above it; a place out of reach is asked for again."""
     tip = np.asarray(given["tip_mm"]) * 1e-3
     points, axis = corners(given)
     stand = np.array([0.0, 0.0, 0.0 if holder == "bed" else STAND_MM * 1e-3])
@@ -291,8 +291,9 @@ def _place(value: Callable[..., Any], robot: Robot, holder: str, given: Values) 
 
 
 def corners(given: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Places (k, 3) [m] that the nozzle has to reach, in the part frame, the one for home first; and its axis there."""
-    if given.get("body") == "cylinder":  # the nearest line of its wall, while the table turns it, or the near side
+    """Points (k, 3) [m] that the nozzle has to reach, in the part frame, home first; and the nozzle axis there."""
+    if given.get("body") == "cylinder":
+        # the line of its wall nearest to the arm: a table turns the rest there; on a bed it stands for the near side
         radius, high = given["radius_mm"] * 1e-3, given["body_height_mm"] * 1e-3
         return np.array(
             [[-radius - ABOVE, 0.0, high / 2], [-radius, 0.0, 0.2 * high], [-radius, 0.0, 0.8 * high]]
@@ -304,7 +305,7 @@ def corners(given: Mapping[str, Any]) -> tuple[Array, Array]:
 
 
 def extent_mm(given: Mapping[str, Any]) -> tuple[float, float, float]:
-    """What is printed takes as much room about the part frame's z axis, and above its origin [mm]."""
+    """Size of the print [mm]: along x and y, centred on the part frame's z axis, and its height above the origin."""
     if "size_mm" in given or "svg_width_mm" in given:
         width, length = given.get("size_mm") or (given["svg_width_mm"], given["svg_width_mm"])
         return width, length, given.get("radius_mm", 0.0)
@@ -320,7 +321,7 @@ def _words(place: Array) -> str:
 def _naca(text: str) -> str:
     digits = text.strip("'\"")
     if len(digits) != 4 or not digits.isdecimal() or digits.endswith("00"):
-        raise ValueError(f"{text!r} is no section of four digits, for example 0015")
+        raise ValueError(f"{text!r} is not a four-digit section, for example 0015")
     return digits
 
 

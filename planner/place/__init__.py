@@ -1,1 +1,1 @@
-"""Where the part should stand: a map of how well it can be printed from each place, and the best places."""
+"""Where to place the part: a map of how well it can be printed at each place, and the best places."""

@@ -1,4 +1,4 @@
-"""Where the part should stand: a map, and the best places, solved and verified."""
+"""Where to place the part: a map, and the best places, solved and verified."""
 
 from planner.base.launch import end, launch
 

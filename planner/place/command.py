@@ -32,30 +32,30 @@ from planner.problem import Problem, load_problem
 from planner.problem.rewrite import write_changed
 
 # ----------------------------------------------------------------------------------------------------
-# The map of a placement's score: a table of all places that were scored, and a picture of slices through them.
+# The map of a placement's score: a table of all places scored, and a picture of slices through them.
 
-COLOURS = "cividis"  # the same to all eyes, and in grey
+COLOURS = "cividis"  # readable with any colour vision, and in grey
 PRESENT, BEST = "#d55e00", "#ffffff"
 _UNREACHABLE = "#d9d9d9"
 
 
 def units(name: str) -> tuple[str, float]:
-    """Unit of a coordinate in tables, and how many of it an SI unit is."""
+    """Unit of a coordinate in tables, and its factor from SI units."""
     return ("deg", 180.0 / np.pi) if name in ANGLES else ("mm", 1e3)
 
 
 def number(place: PartPlace, name: str) -> str:
-    """A coordinate in its unit, to the whole number; never -0."""
+    """A coordinate in its unit, rounded to an integer; never -0."""
     return f"{round(getattr(place, name) * units(name)[1])}"
 
 
 def words(place: PartPlace, names: Sequence[str]) -> str:
-    """A place in words: the coordinates that are searched."""
+    """A place in words: the coordinates `names`."""
     return ", ".join(f"{name} {number(place, name)}" for name in names)
 
 
 def write_table(study: Study, path: Path) -> None:
-    """Write every place that was scored as CSV: what it was for, its coordinates, and its score (0: out of reach)."""
+    """Write every place scored as CSV: its kind, its coordinates, and its score (0: out of reach)."""
     rows = [("present", study.now, study.now_rating.score)]
     rows += [("best", place, rating.score) for place, rating in study.best]
     rows += [("resolved", place, score) for place, score in study.resolved]
@@ -75,9 +75,9 @@ def write_table(study: Study, path: Path) -> None:
 
 
 def draw_map(study: Study, title: str, path: Path) -> None:
-    """Draw the slices of a study side by side into a PNG, the present place and the best ones marked.
+    """Draw the slices of a study side by side into a PNG, with the present place and the best ones marked.
 
-    What is out of reach is grey and hatched; a dashed line goes through scores of 1, from which on all is comfortable.
+    Places out of reach are grey and hatched; a dashed line marks scores of 1, above which everything is comfortable.
     """
     names = [axis.name for axis in study.axes]
     top = max(1e-3, *(float(piece.scores.max()) for piece in study.slices))
@@ -137,7 +137,7 @@ def _mark(panel: Axes, study: Study, names: Sequence[str]) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Where should the part stand? A map of how well it can be printed from each place, and the best places, verified.
+# Where to place the part: a map of how well it can be printed at each place, and the best places, verified.
 #
 # python -m planner.place hemisphere_honeycomb.yaml
 
@@ -153,14 +153,14 @@ METRICS = (  # of a verified plan, with their headings, factors and decimals
 
 
 def outcomes(found: Study, crew: Crew, tick: Callable[[], None]) -> list[PlaceOutcome]:
-    """Solve and verify the problem where its part stands, and at the best places of a study, in that order."""
+    """Solve and verify the problem at its present place, then at the best places of a study."""
     rated = [(found.now, found.now_rating), *found.best]
     solved: list[PlaceOutcome] = crew("solve", [(place, rating.score) for place, rating in rated], tick)
     return solved
 
 
 def best_of(solved: Sequence[PlaceOutcome]) -> PlaceOutcome | None:
-    """The best verified place, if it is better than the first, where the part stands."""
+    """The best verified place, if it is better than the first, the present one."""
     best = max(solved, key=lambda outcome: outcome.score)
     return best if best.score > solved[0].score else None
 
@@ -186,7 +186,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         )
         axes = axes_of(problem, cell, place_of(problem), options.free, options.range)
         beside = options.jobs > 1 or options.scheduler is not None
-        # a folder that cannot be written, and a scheduler that does not answer, are told at once
+        # a folder that cannot be written and a scheduler that does not answer are reported at once
         with results_folder(folder, "place") as fresh, spread_crew(options.jobs, options.scheduler) as over:
             with stages.stage("toolpath"):
                 site = site_of(asked, problem, cell, axes)
@@ -213,21 +213,23 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
 
 
 def print_words(out: Console, options: argparse.Namespace, found: Study, solved: Sequence[PlaceOutcome]) -> None:
-    """Say what the table does not: failures, and what the written file does not have."""
+    """Print what the table lacks: failures, and settings that are not in the written file."""
     for i, outcome in enumerate(solved):
         if outcome.failure is not None:
             out.print(f"{'as it stands' if i == 0 else i}: {outcome.failure}", markup=False, soft_wrap=True)
     if solved and best_of(solved) is None:
         text = (
-            "it stands well: no place that was tried is verified and better" if solved[0].score else "nothing written"
+            "it is well placed: none of the places tried is both verified and better"
+            if solved[0].score
+            else "nothing written"
         )
         out.print(text, markup=False)
     if options.set and solved and best_of(solved) is not None:
-        out.print("what --set changed was used here, but is not written into the file", markup=False)
+        out.print("changes made with --set were used here, but are not written into the file", markup=False)
 
 
 def table_of(problem: Problem, found: Study, solved: Sequence[PlaceOutcome], names: Sequence[str]) -> Table:
-    """The present place and the best ones: scores predicted and verified, and the metrics of each plan."""
+    """The present place and the best ones: predicted and verified scores, and the metrics of each plan."""
     table = Table(title=f"{problem.name}: where the part stands", title_justify="left")
     table.add_column("")
     table.add_column(", ".join(names))
@@ -292,7 +294,7 @@ def place_command() -> Command:
         action="append",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="between what, in mm or deg, e.g. x=300:700; repeatable (default: half the arm's reach to each side)",
+        help="range to search, in mm or deg, e.g. x=300:700; repeatable (default: half the arm's reach to each side)",
     )
     add_strategy(parser)
     add_set(parser)

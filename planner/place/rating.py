@@ -1,4 +1,4 @@
-"""How well a part stands: the margin that the best way over the whole path never falls below."""
+"""How good a placement is: the margin that the best way over the whole path never falls below."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ from planner.resolve.search import SPEED_SHARE
 from planner.toolpath.task import NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
-# Compiled bodies of a placement's score: the margin of every posture, and the best worst case of any way through them.
+# Compiled kernels of a placement's score: the margin of every posture, and the best worst case of any way through them.
 
-NO_WRIST, SPHERICAL, OFFSET = 0, 1, 2  # how joint 5 tells how near the wrist is to its singularity
+NO_WRIST, SPHERICAL, OFFSET = 0, 1, 2  # how joint 5 measures the wrist's distance from its singularity
 
 
 @inner_njit
 def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> float:
-    """Mean share of the commanded speed that speeds and accelerations of the joints allow over some samples.
+    """Mean share of the commanded speed that the joints' speed and acceleration limits allow over some samples.
 
-    Ji (6, 6) the Jacobian's inverse at one posture; samples are indices, -1 where there are fewer.
+    Ji (6, 6): the Jacobian's inverse at one posture; samples: indices, padded with -1.
     """
     time, needed = 0.0, 0.0
     for i in samples:
@@ -74,7 +74,7 @@ def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> floa
 
 @inner_njit
 def _least_angle(q, q_min, q_max, turns) -> float:
-    """The least angle [rad] of the joints that turn from the ends of their ranges, at a posture q (na)."""
+    """The least angle [rad] between a revolute joint and the ends of its range, at a posture q (na)."""
     least = np.inf
     for j in range(q.size):
         if turns[j]:
@@ -83,15 +83,15 @@ def _least_angle(q, q_min, q_max, turns) -> float:
 
 
 class MarginsAsked(NamedTuple):
-    """What is asked of postures.
+    """The requirements on postures.
 
-    samples (r, m)   whose rates a rung answers for, -1 where there are fewer
-    wrist            how joint 5 tells how near the wrist is to its singularity: NO_WRIST, SPHERICAL or OFFSET
+    samples (r, m)   samples whose rates each rung represents, padded with -1
+    wrist            how joint 5 measures the wrist's distance from its singularity: NO_WRIST, SPHERICAL or OFFSET
     fifth            index of joint 5 among the arm's
-    comfort (3)      sigma, angle to a limit and wrist's angle [rad] that are comfortable
-    floor            of these terms over comfort: a posture that is not above it does not count
-    upright          least cosine of the layer's normal to the vertical
-    straight         where joint 5 stands when the wrist is straight [rad]
+    comfort (3)      comfortable values of sigma, angle to a limit and wrist's angle [rad]
+    floor            for these terms over comfort: a posture with one that is not above it does not count
+    upright          least cosine of the angle between the layer's normal and the vertical
+    straight         angle of joint 5 when the wrist is straight [rad]
     """
 
     samples: Ints
@@ -104,8 +104,8 @@ class MarginsAsked(NamedTuple):
 
 
 class MarginsFilled(NamedTuple):
-    """What is filled: joints q (r, rolls, holders, 8, na) [rad] and terms (r, rolls, holders, 8, 4) of every posture, and
-    lacking (r, rolls), see `Course`."""
+    """Output arrays: joints q (r, rolls, holders, 8, na) [rad] and terms (r, rolls, holders, 8, 4) of every posture,
+    and lacking (r, rolls), see `Course`."""
 
     q: NDArray[np.float32]
     terms: NDArray[np.float32]
@@ -114,13 +114,13 @@ class MarginsFilled(NamedTuple):
 
 @njit
 def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked, out) -> None:
-    """Fill `out` for every posture of rungs first .. last; poses and clearance are as in the ladder's nodes.
+    """Fill in `out` for every posture of rungs first .. last; poses and clearance are as in the ladder's nodes.
 
     arm: ArmNumbers, limits: ArmLimits, swept: SweptJoint, grid: GridNumbers, rungs: RungNumbers, table: Table of the
     obstacles, asked: MarginsAsked, out: MarginsFilled
     terms are sigma, the least angle to a joint's limit, the wrist's angle [rad], and the share of the commanded speed.
-    Where there is no posture, or one that is not clear of obstacles, or whose first three terms over comfort are not
-    above floor, sigma stays 0.
+    sigma stays 0 where there is no posture, or where it is not clear of obstacles, or where one of its first three
+    terms over comfort is not above floor.
     """
     kind, solver, q_min, q_max, v_max, a_max = (
         arm.kind,
@@ -147,7 +147,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
     known, sigmas, shares = np.empty(slots, dtype=np.bool_), np.empty(slots), np.empty(slots)
     for r in range(first, last):
         given = redundant[r].copy()
-        bodies = workspace_for(table)  # anew: what it remembers of other rungs would depend on the threads
+        bodies = workspace_for(table)  # one per rung: what it remembered of others would depend on the threads
         now, lacking = rungs.now[rungs.rung[r]], out.lacking[r]
         for h in range(swept.holder.shape[1]):
             posture[0, na + h] = swept.holder[r, h]
@@ -181,7 +181,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                         wrist = np.arcsin(abs(np.sin(branch_q[c, asked.fifth] - asked.straight)))
                     if room_left < limits.room or away <= floor * comfort[1] or wrist <= floor * comfort[2]:
                         continue
-                    # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
+                    # a flipped spherical wrist has the same axes, one of them reversed: the same rates and sigma
                     pair = c // 2 if kind == SPHERICAL_WRIST else c
                     if not known[pair]:
                         sigmas[pair], shares[pair] = 0.0, 0.0
@@ -203,7 +203,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
 
 @inner_njit
 def _reachable_in(q0, q1, turn: float, time: float, v: Array, wraps: NDArray[np.bool_]) -> bool:
-    """Whether the joints, and the swept one by `turn`, can go from q0 to q1 (na) in a time [s] at speeds v (na + 1)."""
+    """Whether the joints can go from q0 to q1 (na), and the swept one by `turn`, in a time [s] at speeds v (na + 1)."""
     if abs(turn) > v[wraps.size] * time:
         return False
     for j in range(wraps.size):
@@ -217,12 +217,12 @@ def _reachable_in(q0, q1, turn: float, time: float, v: Array, wraps: NDArray[np.
 
 @njit
 def bottleneck(q, margin, holder_step, task_rungs, time, v, wraps, floor, came):
-    """Greatest margin that some way along each task never falls below (tasks), 0 where there is no way.
+    """Greatest margin that some way along each task never falls below (tasks), 0 without one; its last nodes.
 
-    margin (r, rolls, holders, 8), 0 or less where there is no posture. A way keeps its branch and changes roll and
-    holder by one step at most from rung to rung, both round the circle, as fast as the joints can. The search ends at
-    the first task whose margin is not above floor. came (like margin)
-    is filled with the step that each node was reached by: 3 (roll step + 1) + holder step + 1.
+    margin (r, rolls, holders, 8): 0 or less where there is no posture. A way keeps its branch and changes roll and
+    holder, both periodic, by at most one step from rung to rung, and no faster than the joints can. The search ends at
+    the first task whose margin is not above floor. came (like margin) is filled with the step by which each node was
+    reached: 3 (roll step + 1) + holder step + 1.
     """
     A, B, C = margin.shape[1], margin.shape[2], margin.shape[3]
     n = task_rungs.size - 1
@@ -241,7 +241,7 @@ def bottleneck(q, margin, holder_step, task_rungs, time, v, wraps, floor, came):
                         if own <= 0.0:
                             continue
                         least = np.float32(0.0)
-                        for step in (4, 1, 7, 3, 5, 0, 2, 6, 8):  # straight on first: of equals the calmest
+                        for step in (4, 1, 7, 3, 5, 0, 2, 6, 8):  # no change first: the calmest of equals
                             da, db = step // 3 - 1, step % 3 - 1
                             if (db != 0 and B == 1) or (da != 0 and A == 1):
                                 continue
@@ -262,7 +262,7 @@ def bottleneck(q, margin, holder_step, task_rungs, time, v, wraps, floor, came):
 
 @njit
 def way_back(ends, came, task_rungs):
-    """Nodes (r, 3) roll, holder and branch of the ways that `bottleneck` found."""
+    """Nodes (r, 3), as roll, holder and branch, of the ways that `bottleneck` found."""
     A, B, C = came.shape[1], came.shape[2], came.shape[3]
     picked = np.empty((task_rungs[-1], 3), dtype=np.int64)
     for task in range(ends.size):
@@ -277,31 +277,32 @@ def way_back(ends, came, task_rungs):
 
 
 # ----------------------------------------------------------------------------------------------------
-# How well a part stands: the margin that the best way over the whole path never falls below.
+# How good a placement is: the margin that the best way over the whole path never falls below.
 #
 # A posture's margin is the least of its distances from a singularity, from joint limits and from the wrist's flip, each
-# over the distance that is comfortable, times the share of the commanded speed that joints allow there. A way is as good
-# as its worst posture, and a placement as good as the best of all ways on a grid of roll, holder angle and branch, which
-# is found exactly: a greatest least margin can be found rung by rung.
+# divided by a comfortable distance, times the share of the commanded speed that the joints allow there. A way is as
+# good as its worst posture, and a placement as good as the best of all ways on a grid of roll, holder angle and branch.
+# That is found exactly, since the greatest least margin can be computed rung by rung.
 
-ROOM_COMFORT = 0.175  # rad, 10 degrees, from joint limits and the wrist's flip: what a part 2 mm off takes is a tenth
+ROOM_COMFORT = 0.175  # rad (10 deg) from joint limits and the wrist's flip: a part 2 mm off takes a tenth of it
 COMFORT = np.array([SIGMA_COMFORT, ROOM_COMFORT, ROOM_COMFORT])
-_SAMPLES = 16  # whose rates a rung answers for, at most
-_SHARES = 0.9, 0.6, 0.0  # of the score without obstacles, above which the score with them is looked for
-_PROBES = 12  # rungs that are tried first: where one of them is out of reach, so is the part
-_SHARE_OF_BEADS = 4  # a bead has two rungs at least, so no more beads than this part of the rungs
+_SAMPLES = 16  # most samples whose rates a rung represents
+_SHARES = 0.9, 0.6, 0.0  # × the score without obstacles: floors, in turn, of the search for the score with them
+_PROBES = 12  # rungs tried first: if one of them is out of reach, so is the part
+_SHARE_OF_BEADS = 4  # rungs per bead at least, on average: a bead has two or more
 
 
 @dataclass(frozen=True)
 class Course:
-    """What is looked at of a print, at one fineness (r rungs).
+    """A print as sampled for a study, at one resolution (r rungs).
 
     demand             of some of the tasks, with its rungs
-    samples (r, m)     whose rates a rung answers for, -1 where there are fewer
-    probes (p)         rungs at the ends of the path, in every direction
+    samples (r, m)     samples whose rates each rung represents, padded with -1
+    probes (p)         rungs at the extremes of the path, in every direction
     roll_step, holder_step   of the grid [rad]
-    lacking (r, rolls)   at which rolls the head lacks clearance from part and print, wherever the part stands: 1 or 0, and
-                         -1 where nobody has asked yet; of one cell's obstacles, which score and rate must be given
+    lacking (r, rolls)   whether the head at each roll lacks clearance from part and print, wherever the part stands: 1
+                         or 0, or -1 if not known yet; valid for one cell's obstacles, which score and rate must be
+                         given
     nozzle             which of several nozzles follows it
     """
 
@@ -315,7 +316,7 @@ class Course:
 
     @property
     def at_probes(self) -> Course:
-        """The probes alone, as one path."""
+        """Only the probes, as one path."""
         at = self.probes
         return replace(
             self, demand=self.demand.only(at, [0, len(at)]), samples=self.samples[at], lacking=self.lacking[at]
@@ -324,13 +325,13 @@ class Course:
 
 @dataclass(frozen=True)
 class Rating:
-    """A placement's score, and the worst of each of its terms along the way that has it.
+    """A placement's score, and the worst of each of its terms along the way with that score.
 
-    score          1 is comfortable everywhere, 0 out of reach
+    score          1: comfortable everywhere, 0: out of reach
     sigma          smallest singular value of the arm's Jacobian
-    limit, wrist   angles from joint limits and from the wrist's flip [rad]; wrist infinite for arms that have none
-    share          of the commanded speed, where it is least
-    place (3)      where the margin is least: nozzle tip on the part [m]
+    limit, wrist   angles from joint limits and from the wrist's flip [rad]; wrist is infinite for arms without one
+    share          least share of the commanded speed
+    place (3)      nozzle tip on the part where the margin is least [m]
     """
 
     score: float
@@ -342,7 +343,7 @@ class Rating:
 
 
 def courses_of(cell: Cell, tasks: Sequence[NozzleTask], rungs: int, step: float, spacing: float) -> tuple[Course, ...]:
-    """The course of each nozzle that is used, see `course_of`."""
+    """The course of each nozzle in use, see `course_of`."""
     return tuple(
         replace(course_of([tasks[i] for i in which], rungs, step, spacing), nozzle=own.in_use)
         for own, which in nozzles_of(cell, tasks)
@@ -350,7 +351,7 @@ def courses_of(cell: Cell, tasks: Sequence[NozzleTask], rungs: int, step: float,
 
 
 def course_of(tasks: Sequence[NozzleTask], rungs: int, step: float, spacing: float) -> Course:
-    """The path of some tasks, seen at about so many rungs `spacing` [m] apart at least, on a grid of `step` [rad]."""
+    """The path of some tasks at about `rungs` rungs, at least `spacing` [m] apart, on a grid of `step` [rad]."""
     beads = _far_apart(tasks, max(rungs // _SHARE_OF_BEADS, 1))
     length = sum(float(task.s[-1] - task.s[0]) for task in beads)
     demand = sample_tasks(beads, max(length / max(rungs - len(beads), 1), spacing))
@@ -365,11 +366,11 @@ def course_of(tasks: Sequence[NozzleTask], rungs: int, step: float, spacing: flo
 
 
 def _far_apart(tasks: Sequence[NozzleTask], count: int) -> list[NozzleTask]:
-    """At most `count` tasks, in their order: the one farthest out, then always the one farthest from those taken."""
+    """At most `count` tasks, in their order: the farthest out, then repeatedly the farthest from those taken."""
     if len(tasks) <= count:
         return list(tasks)
     middle = np.array([np.concatenate([task.tip.mean(axis=0), task.frames[:, :, 2].mean(axis=0)]) for task in tasks])
-    scale = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # a radian counts as 0.1 m: that far the tip is from the wrist
+    scale = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # a radian counts as 0.1 m, the tip's distance from the wrist
     middle = middle * scale
     taken = [int(np.linalg.norm(middle - middle.mean(axis=0), axis=1).argmax())]
     away = np.linalg.norm(middle - middle[taken[0]], axis=1)
@@ -382,15 +383,15 @@ def _far_apart(tasks: Sequence[NozzleTask], count: int) -> list[NozzleTask]:
 def score(cell: Cell, course: Course, min_sigma: float, floor: float = 0.0, obstacles: Obstacles = NOTHING) -> float:
     """The margin that the best way over a course never falls below; 0 where there is no way above a floor.
 
-    The higher the floor, the sooner it is known that a placement is not above it. Postures that lack clearance from
-    obstacles do not count; these are given for any place of the part.
+    The higher the floor, the sooner a placement below it is rejected. Postures that lack clearance from obstacles do
+    not count; obstacles are given for any place of the part.
     """
     cell = cell.with_nozzle(course.nozzle)
     free = _score(cell, course, min_sigma, floor, NOTHING)
     if free <= floor or not obstacles.any:
         return free
     here = obstacles.of(cell)
-    for share in _SHARES:  # most placements are clear, and few postures have so much margin: only they are looked at
+    for share in _SHARES:  # most placements are clear, and few postures exceed a high floor: only these are checked
         above = max(floor, share * free)
         found = _score(cell, course, min_sigma, above, here)
         if found > 0.0 or above == floor:
@@ -407,7 +408,7 @@ def _score(cell: Cell, course: Course, min_sigma: float, floor: float, obstacles
 
 
 def rate(cell: Cell, course: Course, min_sigma: float, obstacles: Obstacles = NOTHING) -> Rating:
-    """The score of `score`, and the worst of each term along the way that has it."""
+    """The score as by `score`, and the worst of each term along the way with that score."""
     cell = cell.with_nozzle(course.nozzle)
     above = (1.0 - 1e-6) * score(cell, course, min_sigma, 0.0, obstacles)
     worst, terms, picked = best_worst(cell, course, min_sigma, above, obstacles.of(cell))
@@ -421,7 +422,7 @@ def rate(cell: Cell, course: Course, min_sigma: float, obstacles: Obstacles = NO
 
 def score_of_paths(cell: Cell, paths: Sequence[JointPath]) -> float:
     """The score of joint paths that a strategy found: their least margin, times the share of the commanded speed that
-    joints' speeds and accelerations allow over all of them."""
+    the joints' speed and acceleration limits allow over all of them."""
     na, least = len(cell.arm), np.inf
     ideal = bound = 0.0
     for path in paths:
@@ -442,7 +443,7 @@ def score_of_paths(cell: Cell, paths: Sequence[JointPath]) -> float:
 def best_worst(
     cell: Cell, course: Course, min_sigma: float, floor: float, obstacles: Obstacles
 ) -> tuple[Array, NDArray[np.float32], NDArray[np.int64]]:
-    """Best worst margin of each task, every posture's terms, and the nodes (r, 3) of the ways."""
+    """The best worst-case margin of each task, every posture's terms, and the nodes (r, 3) of the ways."""
     demand, limits, na = course.demand, cell.limits, len(cell.arm)
     q, terms, joint, holder_step = _postures(cell, course, floor, obstacles)
     speed = np.ones(na + 1)
@@ -460,7 +461,7 @@ def best_worst(
 
 
 def _margins(terms: NDArray[np.float32], min_sigma: float) -> NDArray[np.float32]:
-    """Margins (...) of postures with these terms (..., 4); 0 where sigma is too small or there is no posture."""
+    """Margins (...) of postures with terms (..., 4); 0 where sigma is too small or there is no posture."""
     least = (terms[..., :3] / COMFORT.astype(np.float32)).min(axis=-1) * terms[..., 3]
     return np.where(terms[..., 0] > min_sigma, least, np.float32(0.0))
 
@@ -468,12 +469,12 @@ def _margins(terms: NDArray[np.float32], min_sigma: float) -> NDArray[np.float32
 def _postures(
     cell: Cell, course: Course, floor: float, obstacles: Obstacles
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], int | None, float]:
-    """Joints and terms of every posture (see `evaluate_margins`), the joint that is swept, and by what step [rad].
+    """Joints and terms of every posture (see `evaluate_margins`), the swept joint, and its step [rad].
 
-    Of several chosen joints the one next to the part is swept, the others rest at home.
+    Of several chosen joints, the one next to the part is swept; the others rest at home.
     """
     demand = course.demand
-    if demand.cones.tilt > 0.0:  # a lean may give the head its clearance from part and print
+    if demand.cones.tilt > 0.0:  # leaning may give the head its clearance from part and print
         obstacles = obstacles.but_head_on_part
     r, na, nh = len(demand.rung), len(cell.arm), len(cell.holder)
     held = np.tile(at_rest(cell), (r, 1))

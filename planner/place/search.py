@@ -1,7 +1,7 @@
-"""A deterministic search for the best of a score over a few coordinates: a lattice, then ever finer steps from its best.
+"""A deterministic search for the best score over a few coordinates: a lattice, then ever finer steps from its best.
 
-Scores are piecewise smooth with ridges, on which steps along the coordinates alone get stuck; so each round tries
-points spread all around as well. Whatever has been tried stays in memory and is not tried again.
+Scores are piecewise smooth with ridges, where steps along the coordinates alone get stuck; so each round also tries
+points spread all around. Points that have been tried are remembered and not tried again.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import numpy as np
 from scipy.stats import qmc
 
 Point = tuple[float, ...]
-Score = Callable[[Point, float], float]  # point, floor → its score, 0 where that is not above the floor
-Scores = Callable[[Sequence[Point], float], list[float]]  # the same of several points, in whatever order
+Score = Callable[[Point, float], float]  # point, floor → its score, or 0 if that is not above the floor
+Scores = Callable[[Sequence[Point], float], list[float]]  # the same for several points, computed in any order
 
-_AROUND = 12  # points that each round tries besides steps along the coordinates
-_ROUNDS = 4  # at one step width, at most
-_HALVINGS = 5  # of the lattice's step: down to a thirtieth
+_AROUND = 12  # points that each round tries in addition to steps along the coordinates
+_ROUNDS = 4  # most rounds at one step width
+_HALVINGS = 5  # step widths, each half of the last: down to about a thirtieth of the lattice's step
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A coordinate that is searched: from low to high, rounded to a multiple of grain; round the circle if it turns.
+    """A coordinate that is searched: from low to high, rounded to a multiple of grain; periodic if it turns.
 
     count is the number of lattice points.
     """
@@ -42,7 +42,7 @@ class Axis:
         return (self.high - self.low) / max(self.count if self.turns else self.count - 1, 1)
 
     def lattice(self) -> list[float]:
-        """The lattice points; the middle, if it is one."""
+        """The lattice points; a single one is in the middle."""
         if self.count == 1:
             return [self.put(0.5 * (self.low + self.high))]
         return [self.put(self.low + k * self.step) for k in range(self.count)]
@@ -65,12 +65,12 @@ class ScoredPoint:
 
 
 def lattice(axes: Sequence[Axis]) -> list[Point]:
-    """Every lattice point, the last axis running quickest."""
+    """Every lattice point, the last axis varying fastest."""
     return list(itertools.product(*(axis.lattice() for axis in axes)))
 
 
 def one_by_one(score: Score) -> Scores:
-    """Scores of points in turn, each above that of the best so far, or 0."""
+    """Scores of points one after the other; 0 for each that is not above the best so far."""
 
     def scores(points: Sequence[Point], floor: float) -> list[float]:
         out = []
@@ -83,7 +83,7 @@ def one_by_one(score: Score) -> Scores:
 
 
 def well_apart(tried: Iterable[ScoredPoint], count: int, apart: Callable[[Point, Point], bool]) -> list[ScoredPoint]:
-    """The best points that are reachable and pairwise apart, at most so many, best first."""
+    """The best points that are reachable and pairwise apart, at most `count`, best first."""
     out: list[ScoredPoint] = []
     for each in sorted(tried, key=lambda t: (-t.score, t.point)):
         if len(out) == count or each.score <= 0.0:
@@ -96,9 +96,9 @@ def well_apart(tried: Iterable[ScoredPoint], count: int, apart: Callable[[Point,
 def polish(
     axes: Sequence[Axis], scores: Scores, start: Point, share: float = 0.5, most: int = 10**9
 ) -> list[ScoredPoint]:
-    """Ever better points from a start on, with steps that halve where none helps any more; the last is the best.
+    """Ever better points from a start, with steps that halve when none helps any more; the last point is the best.
 
-    share: of the lattice's step, which the first steps are; most: scores that are asked for.
+    share: size of the first steps relative to the lattice's; most: most scores requested.
     """
     best = ScoredPoint(start, scores([start], 0.0)[0])
     trail = [best]
@@ -117,7 +117,7 @@ def polish(
             known.update(new)
             found = [ScoredPoint(point, value) for point, value in zip(new, scores(new, best.score), strict=True)]
             better = max([best, *found], key=lambda tried: tried.score)  # the first of equals
-            if better is best:  # as it stays where no more scores may be asked for
+            if better is best:  # also when no more scores may be requested
                 break
             best = better
             trail.append(best)

@@ -1,4 +1,4 @@
-"""What a study of placements looks at: the problem's scene, which coordinates are searched, and between what."""
+"""The input of a placement study: the problem's scene, the coordinates searched, and their ranges."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
 
 # ----------------------------------------------------------------------------------------------------
-# Where a part stands, as the few numbers that may be changed: of the bed or table in the world, of the part on the table.
+# A part's place as the few numbers that may change: of the bed or table in the world, and of the part on the table.
 
 FREEDOMS = ("x", "y", "z", "turn", "part_x", "part_y")
 ANGLES = frozenset({"turn"})
@@ -35,8 +35,8 @@ ON_A_TABLE = frozenset({"part_x", "part_y"})
 
 @dataclass(frozen=True)
 class PartPlace:
-    """Where a part stands: x, y, z [m] and turn about the vertical [rad] of the bed or of the table's base in the
-    world, part_x, part_y [m] of the part on the table's plate."""
+    """A part's place: x, y, z [m] and turn about the vertical [rad] of the bed or of the table's base in the world;
+    part_x, part_y [m] of the part on the table's plate."""
 
     x: float
     y: float
@@ -61,7 +61,7 @@ def place_of(problem: Problem) -> PartPlace:
 
 
 def changed_fields(problem: Problem, place: PartPlace) -> dict[str, float | list[float]]:
-    """Fields of the problem file (dotted, in mm and degrees) that put the part at a place, without those that stay."""
+    """Changed fields of the problem file (dotted, in mm and degrees) that put the part at a place."""
     was, cell = place_of(problem), problem.cell
     at = [_mm(place.x), _mm(place.y), _mm(place.z)]
     out: dict[str, float | list[float]] = {}
@@ -84,7 +84,7 @@ def changed_fields(problem: Problem, place: PartPlace) -> dict[str, float | list
 
 
 def moved_cell(cell: Cell, was: PartPlace, place: PartPlace) -> Cell:
-    """The cell that was built for one place, with its part at another."""
+    """A cell built for one place, with its part moved to another."""
     T_move = _anchor(place) @ rigid_inverse(_anchor(was))
     T_shift = translation(np.array([place.part_x - was.part_x, place.part_y - was.part_y, 0.0]))
     T_plate_part = T_shift @ cell.T_plate_part
@@ -120,23 +120,23 @@ def _deg(angle: float) -> float:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Which coordinates of a placement are searched, and between what: from the options, or from the arm's reach.
+# The coordinates of a placement that are searched, and their ranges: from the options, or from the arm's reach.
 
-_REACH_SHARE = 0.5  # of the reach, to each side of where the part stands
-_PLATE_SHARE = 0.1  # of the reach, likewise, for a part on its plate
-_FINEST = {False: 10e-3, True: math.radians(5.0)}  # m and rad between lattice points
-_GRAIN = {False: 1e-3, True: math.radians(1.0)}  # m and rad, to which placements are rounded
-_COUNTS = {"x": 9, "y": 9, "z": 6, "turn": 6, "part_x": 5, "part_y": 5}  # of lattice points, at most
-_MOST_ANYWHERE = 100.0  # m: a hall, as problem files have it
+_REACH_SHARE = 0.5  # × the reach: searched to each side of the part's present place
+_PLATE_SHARE = 0.1  # × the reach: the same for a part on its plate
+_FINEST = {False: 10e-3, True: math.radians(5.0)}  # m and rad: about the least distance of lattice points
+_GRAIN = {False: 1e-3, True: math.radians(1.0)}  # m and rad: placements are rounded to this
+_COUNTS = {"x": 9, "y": 9, "z": 6, "turn": 6, "part_x": 5, "part_y": 5}  # most lattice points
+_MOST_ANYWHERE = 100.0  # m: the size of a hall, as in problem files
 
 
 def default_freedoms(problem: Problem) -> tuple[str, ...]:
-    """What is searched unless the user says otherwise: the place, and on a bed the turn, which a table makes itself."""
+    """Coordinates searched by default: the position and, on a bed, the turn, which a table can make itself."""
     return ("x", "y", "z", "turn") if problem.cell.positioner is None else ("x", "y", "z")
 
 
 def reach(cell: Cell) -> float:
-    """How far the nozzle can be from the axis of the arm's first joint, stretched out [m]; a bound."""
+    """Upper bound of how far the nozzle can be from the axis of the arm's first joint, arm stretched out [m]."""
     links = np.linalg.norm(cell.arm.placements[1:, :3, 3], axis=1).sum()
     return float(links + np.linalg.norm(cell.arm.T_last_tip[:3, 3]))
 
@@ -144,9 +144,9 @@ def reach(cell: Cell) -> float:
 def axes_of(problem: Problem, cell: Cell, place: PartPlace, free: str | None, ranges: Sequence[str]) -> list[Axis]:
     """The coordinates that are searched, in the order of FREEDOMS.
 
-    free: names with commas between, as in `x,y,turn`; ranges: `name=low:high` in mm or degrees, each. Without names,
+    free: names separated by commas, as in `x,y,turn`; ranges: `name=low:high` each, in mm or degrees. Without names,
     those with a range are searched; without either, `default_freedoms`.
-    Raises InputError for what cannot be understood, and for what the problem's part cannot do.
+    Raises InputError for malformed options, and for coordinates that the problem's part does not have.
     """
     limits = dict(_limits(problem, text) for text in ranges)
     if free is not None:
@@ -169,7 +169,7 @@ def _axis(cell: Cell, place: PartPlace, name: str, given: tuple[float, float] | 
     else:
         side = (_PLATE_SHARE if name in ON_A_TABLE else _REACH_SHARE) * far
         low, high = round(at - side, 3), round(at + side, 3)
-        if name == "z" and cell.T_world_base[2, 2] > 0.5:  # not below a standing arm's foot, unless it is there
+        if name == "z" and cell.T_world_base[2, 2] > 0.5:  # not below an upright arm's foot, unless it is there already
             low = max(low, min(float(cell.T_world_base[2, 3]), at))
     turns = angle and high - low >= TURN - 1e-9
     count = min(_COUNTS[name], math.ceil((high - low) / _FINEST[angle]) + 1)
@@ -190,7 +190,7 @@ def _limits(problem: Problem, text: str) -> tuple[str, tuple[float, float]]:
     except ValueError:
         raise InputError(f"{numbers.strip()!r} is not two numbers", field=field, hint="for example x=300:700") from None
     unit, most = ("deg", 360.0) if angle else ("mm", _MOST_ANYWHERE * 1e3)
-    if not all(abs(value) <= most for value in pair):  # NaN is none either
+    if not all(abs(value) <= most for value in pair):  # NaN fails, too
         raise InputError("is out of range", field=field, hint=f"valid: {-most:.0f} to {most:.0f} {unit}")
     if not pair[0] < pair[1]:
         raise InputError("the first number must be less than the second", field=field, hint=f"for example {name}=0:90")
@@ -215,16 +215,17 @@ def _name(problem: Problem, name: str, field: str) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What a study of placements looks at, and how any process comes by it: from a few words, by reading the files itself.
+# The input of a placement study; any process can rebuild it from a few words, by reading the files itself.
 
 COARSE = 40, np.radians(30.0)  # rungs and steps of the grid, for lattice and map
-FINE = {False: (120, np.radians(15.0)), True: (60, np.radians(20.0))}  # for what is polished; with a table
-FOOT_SHARE = 0.25  # of the reach: so near to the arm's first axis stands its foot
+# For polishing; key: whether any joints are chosen, such as a table's.
+FINE = {False: (120, np.radians(15.0)), True: (60, np.radians(20.0))}
+FOOT_SHARE = 0.25  # × the reach: the space this near to the arm's first axis is taken by its foot
 
 
 @dataclass(frozen=True)
 class StudyRequest:
-    """What a study is asked for, in the command's words; `problem` is a name, or a path from the root."""
+    """A request for a study, in the command's words; `problem` is a name or an absolute path."""
 
     problem: str
     overrides: tuple[str, ...] = ()
@@ -235,10 +236,10 @@ class StudyRequest:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What may be in the way, wherever the part stands; nothing, if a strategy knows of no obstacles.
+    """Obstacles for any place of the part; none if a strategy ignores obstacles.
 
-    nearly    obstacles for scores, of any place: on a bed without fixtures in the way of the print head
-    exactly   the obstacles of a cell, all of them
+    nearly    obstacles for scores, the same for all places: on a bed, without fixtures
+    exactly   all obstacles of a cell
     """
 
     nearly: Obstacles
@@ -247,9 +248,9 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Site:
-    """A problem whose part may stand elsewhere: `cell` was built with the part at `now`, `axes` are searched.
+    """A problem whose part may be moved: `cell` was built with the part at `now`, `axes` are searched.
 
-    Of layers that repeat the first counts.
+    Of repeated layers, only the first counts.
     """
 
     problem: Problem
@@ -263,17 +264,17 @@ class Site:
 
     @cached_property
     def coarse(self) -> tuple[Course, ...]:
-        """The path of each nozzle as lattice and map see it."""
+        """The path of each nozzle as sampled for lattice and map."""
         return courses_of(self.cell, self.guides, *COARSE, self.problem.resolve.rung)
 
     @cached_property
     def fine(self) -> tuple[Course, ...]:
-        """The path of each nozzle as it is seen where a place is polished."""
+        """The path of each nozzle as sampled for polishing."""
         return courses_of(self.cell, self.guides, *FINE[len(self.cell.chosen) > 0], self.problem.resolve.rung)
 
     @cached_property
     def digest(self) -> str:
-        """Of what the files say; see `digest_of`."""
+        """Digest of the content of the files; see `digest_of`."""
         return digest_of(self.problem, self.cell, self.toolpath, self.guides)
 
     def at(self, point: Point) -> PartPlace:
@@ -281,11 +282,11 @@ class Site:
         return replace(self.now, **{axis.name: value for axis, value in zip(self.axes, point, strict=True)})
 
     def moved(self, point: Point) -> Cell:
-        """The cell with the part there."""
+        """The cell with the part at a point of the search."""
         return moved_cell(self.cell, self.now, self.at(point))
 
     def scored(self, courses: Sequence[Course], place: PartPlace, floor: float) -> float:
-        """A place's score, the least of all nozzles', 0 where it is not above a floor."""
+        """A place's score, the least over all nozzles; 0 if it is not above a floor."""
         moved = moved_cell(self.cell, self.now, place)
         if _at_the_foot(moved, courses) and place != self.now:
             return 0.0
@@ -293,13 +294,13 @@ class Site:
         return min(score(moved, course, min_sigma, floor, nearly) for course in courses)
 
     def rated(self, cell: Cell) -> Rating:
-        """The rating of the cell with the part at a place, for the nozzle whose score is the least."""
+        """The rating of the cell with the part at a place, for the nozzle with the least score."""
         min_sigma, nearly = self.problem.resolve.min_sigma, self.around.nearly
         return min((rate(cell, course, min_sigma, nearly) for course in self.fine), key=lambda rating: rating.score)
 
 
 def site_of(asked: StudyRequest, problem: Problem, cell: Cell, axes: Sequence[Axis]) -> Site:
-    """The site of a problem that was loaded. Raises InputError for what its files say of the toolpath."""
+    """The site of a loaded problem. Raises InputError for mistakes in its files that concern the toolpath."""
     toolpath = build_toolpath(problem)
     strategy = asked.strategy or problem.strategy
     around = surroundings(strategy, problem, cell, toolpath)
@@ -309,7 +310,7 @@ def site_of(asked: StudyRequest, problem: Problem, cell: Cell, axes: Sequence[Ax
 
 @lru_cache(maxsize=1)
 def own_site(asked: StudyRequest, digest: str) -> Site:
-    """The same site in another process. Raises InputError where its files say something else there."""
+    """The same site in another process. Raises InputError if its files have a different content there."""
     problem = load_problem(asked.problem, asked.overrides)
     cell = build_cell(problem)
     site = site_of(asked, problem, cell, axes_of(problem, cell, place_of(problem), asked.free, asked.ranges))
@@ -318,9 +319,9 @@ def own_site(asked: StudyRequest, digest: str) -> Site:
 
 
 def surroundings(strategy: str, problem: Problem, cell: Cell, toolpath: Toolpath) -> Surroundings:
-    """What a strategy keeps clear of while it prints a toolpath.
+    """The obstacles that a strategy avoids while it prints a toolpath.
 
-    On a bed, fixtures are points of the part's frame; where the part moves between them, these are found anew.
+    On a bed, fixtures are points in the part frame; as the part moves among them, they are found again for each place.
     """
     among = len(cell.holder) == 0 and len(cell.fixtures) > 0
     if strategy in UNAWARE:
@@ -332,7 +333,7 @@ def surroundings(strategy: str, problem: Problem, cell: Cell, toolpath: Toolpath
 
 
 def _at_the_foot(cell: Cell, courses: Sequence[Course]) -> bool:
-    """Whether the path, or what carries it, comes near the arm's first axis, holder at home; a carried arm can leave."""
+    """Whether path or holder base is near the arm's first axis, holder at home; never on a rail: the arm can leave."""
     if cell.rails:
         return False
     T_world_part = cell.holder.poses(cell.home[None, len(cell.arm) :])[0]

@@ -22,17 +22,17 @@ from planner.resolve.strategies import STRATEGIES
 from planner.verify.verdict import Report
 
 # ----------------------------------------------------------------------------------------------------
-# The pieces of work of a study, each done for itself: here, or by who is spread over processes and machines.
+# The pieces of work of a study, each independent: done here, or spread over processes and machines.
 
-# kind, pieces, what counts pieces that are done → their results in order
+# kind, pieces, counter of finished pieces → their results in order
 Crew = Callable[[str, Sequence[Any], Callable[[], None]], list[Any]]
 
-LAID_LIMITS = "laid_limit_margin_deg"  # the least angle to a joint's limit while material is laid
+LAID_LIMITS = "laid_limit_margin_deg"  # least angle to a joint's limit while material is laid
 
 
 @dataclass(frozen=True)
 class PlaceOutcome:
-    """What solving at a place came to: the plan's metrics, and why it is no plan to print, if it is none."""
+    """The result of solving at a place: the plan's metrics, and the reason if there is no printable plan."""
 
     place: PartPlace
     predicted: float
@@ -41,7 +41,7 @@ class PlaceOutcome:
 
     @classmethod
     def of(cls, place: PartPlace, predicted: float, report: Report) -> PlaceOutcome:
-        """What verification said of a plan; LAID_LIMITS besides, since home and travel are no matter of the place."""
+        """The result of verification, with LAID_LIMITS added, since home and travel do not depend on the place."""
         failed = [check.name for check in report.checks if not check.ok]
         laid = np.isfinite(report.series["sigma"])  # NaN in travel
         least = float(report.series["limit_margin_deg"][laid].min(initial=180.0))
@@ -51,7 +51,7 @@ class PlaceOutcome:
 
     @property
     def score(self) -> float:
-        """The placement's score as `rating` counts it, from the verified plan; 0 without one."""
+        """The placement's score as defined in `rating`, from the verified plan; 0 without one."""
         if self.failure is not None:
             return 0.0
         m = self.metrics
@@ -61,9 +61,9 @@ class PlaceOutcome:
 
 
 def crew_of(asked: StudyRequest, site: Site, over: Spread, beside: bool) -> Crew:
-    """Who does the pieces of a site's study; `beside`: in other processes, which read the site's files themselves.
+    """The crew for a site's study; `beside`: work in other processes, which read the site's files themselves.
 
-    An error of a piece is raised once it comes.
+    An error of a piece is raised as soon as it arrives.
     """
 
     def crew(kind: str, pieces: Sequence[Any], tick: Callable[[], None]) -> list[Any]:
@@ -87,12 +87,12 @@ def _elsewhere(item: tuple[StudyRequest, str, str, Any]) -> Any:
 
 
 def _score(site: Site, places: Sequence[PartPlace]) -> list[float]:
-    """Scores of places, as lattice and map see them."""
+    """Scores of places at the resolution of lattice and map."""
     return [site.scored(site.coarse, place, 0.0) for place in places]
 
 
 def _polish(site: Site, start: Point) -> list[ScoredPoint]:
-    """Ever better points from a start on."""
+    """Ever better points from a start."""
     return polish(site.axes, one_by_one(lambda point, floor: site.scored(site.fine, site.at(point), floor)), start)
 
 
@@ -106,7 +106,7 @@ def _follow(site: Site, point: Point) -> float:
 
 
 def _solve(site: Site, piece: tuple[PartPlace, float]) -> PlaceOutcome:
-    """The whole plan at a place, verified, whose score was predicted."""
+    """The whole plan at a place with a predicted score, verified."""
     place, predicted = piece
     problem = site.problem
     settings = [f"{field}={value}" for field, value in changed_fields(problem, place).items()]
@@ -124,24 +124,24 @@ WORK: dict[str, Callable[[Site, Any], Any]] = {"score": _score, "polish": _polis
 # ----------------------------------------------------------------------------------------------------
 # The study of a problem's placement: the score over the whole range, slices of it for a map, and the best places.
 
-Progress = Callable[[str, int], AbstractContextManager[Callable[[], None]]]  # stage, steps → what counts them
+Progress = Callable[[str, int], AbstractContextManager[Callable[[], None]]]  # stage, steps → their counter
 
-_SAMPLES_RESOLVED = 200_000  # waypoints, over all places that are tried with the strategy: a minute or two
-_RESOLVED = 6, 30  # such places, at least and at most
-_NEAR = 0.1  # of the lattice's step: around the best of them as many more are tried
-_STARTS = {False: 10, True: 6}  # that are polished
-_MAP = {False: 21, True: 17}  # places to a side of a map
-_APART = 0.1  # of the reach: placements that are nearer to each other are one
-_APART_TURNED = math.radians(30.0)  # likewise, where nothing but the turn is free
-_CHUNK = 24  # places of the lattice or of a map that are scored as one piece of work
+_SAMPLES_RESOLVED = 200_000  # waypoints over all places tried with the strategy: a minute or two
+_RESOLVED = 6, 30  # least and greatest number of such places
+_NEAR = 0.1  # × the lattice's step: as many more places are tried this near to the best of them
+_STARTS = {False: 10, True: 6}  # lattice points to polish, at most; key: whether any joint is chosen (table, rail)
+_MAP = {False: 21, True: 17}  # most places along a side of a map; key as in _STARTS
+_APART = 0.1  # × the reach: placements nearer to each other than this are one
+_APART_TURNED = math.radians(30.0)  # the same where only the turn is free
+_CHUNK = 24  # places of the lattice or of a map scored as one piece of work
 
 
 @dataclass(frozen=True)
 class Slice:
-    """Scores over the first two coordinates that are searched, the others held.
+    """Scores over the first two coordinates searched, the others held.
 
     others   the place whose other coordinates are held
-    u, v     (m), (k) values of the first and of the second coordinate [m or rad]; v has one without a second
+    u, v     (m), (k) values of the first and second coordinate [m or rad]; v has a single one without a second
     scores   (m, k)
     """
 
@@ -154,14 +154,14 @@ class Slice:
 
 @dataclass(frozen=True)
 class Study:
-    """What is known of a problem's placements.
+    """The result of a study of a problem's placements.
 
     axes      coordinates that were searched
     now, now_rating   where the problem puts its part, and how good that is
-    tried     every place that was scored, coarsely, with its score
-    resolved  places from which the strategy was asked for its joint paths, with their scores
-    slices    maps through the best place, and through the present one if it is another slice
-    best      places whose joint paths are best, and their ratings, best first, pairwise apart
+    tried     every lattice place with its coarse score
+    resolved  places tried with the strategy, with the scores of its joint paths
+    slices    maps through the best place, and through the present one if that is another slice
+    best      places with the best joint paths, and their ratings, best first, pairwise apart
     """
 
     axes: tuple[Axis, ...]
@@ -174,11 +174,11 @@ class Study:
 
 
 def study(site: Site, crew: Crew, count: int, progress: Progress) -> Study:
-    """Search the places of a site's part for the `count` best; the crew does the work, in whatever order.
+    """Search the places of a site's part for the `count` best; the crew does the work, in any order.
 
-    A strategy does not go the way of the greatest margin, which is what the grid tells; so the best places of the grid
-    are tried with the strategy, and their own paths count.
-    Raises Refusal where no place in the range reaches the whole part.
+    The grid gives the way with the greatest margin, which a strategy does not follow; so the best places of the grid
+    are tried with the strategy, and the scores of its own paths count.
+    Raises Refusal if the arm reaches the whole part at no place in the range.
     """
     axes, cell, now = site.axes, site.cell, site.now
     table, far = len(cell.chosen) > 0, reach(cell)
@@ -218,7 +218,7 @@ def study(site: Site, crew: Crew, count: int, progress: Progress) -> Study:
 
 
 def _scores(site: Site, crew: Crew, points: Sequence[Point], tick: Callable[[], None]) -> list[float]:
-    """Scores of points of the search, coarsely."""
+    """Coarse scores of points of the search."""
     return _place_scores(crew, [site.at(point) for point in points], tick)
 
 
@@ -264,7 +264,7 @@ def _slice(
 
 
 def _apart(axes: Sequence[Axis], a: Point, b: Point, far: float) -> bool:
-    """Whether two placements count as two: by their places if these are searched, else by their turn."""
+    """Whether two placements count as distinct: by their positions if these are searched, else by their turn."""
     lengths = [abs(x - y) for axis, x, y in zip(axes, a, b, strict=True) if axis.name not in ANGLES]
     if lengths:
         return math.hypot(*lengths) >= _APART * far
@@ -274,7 +274,7 @@ def _apart(axes: Sequence[Axis], a: Point, b: Point, far: float) -> bool:
 
 def _hints(axes: Sequence[Axis], cell: Cell) -> tuple[str, ...]:
     base = cell.T_world_base[:3, 3] * 1e3
-    foot = "its foot, wherever that is carried" if cell.rails else f"{base[0]:.0f} {base[1]:.0f} {base[2]:.0f} mm"
+    foot = "its foot, wherever the carrier puts it" if cell.rails else f"{base[0]:.0f} {base[1]:.0f} {base[2]:.0f} mm"
     return (
         f"a range nearer to the arm, whose nozzle reaches {reach(cell) * 1e3:.0f} mm at most around {foot} "
         f"(searched: {', '.join(axis.name for axis in axes)})",

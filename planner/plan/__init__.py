@@ -1,4 +1,4 @@
-"""The Plan: everything that is known at the end. Export and report see only this."""
+"""The Plan: everything known when planning ends. Export and report see only this."""
 
 from planner.plan.plan import (
     RAPID_EXTERNAL_AXES,

@@ -1,4 +1,4 @@
-"""A plan layer by layer: when each begins, how long it takes, and how old what is below it is when it is laid."""
+"""A plan layer by layer: when each begins, how long it takes, and how old the material below is when it is laid."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from planner.plan.plan import Plan
 
-AGES = "interlayer_time_s"  # of the verifier's series: the age of what each place lies on
+AGES = "interlayer_time_s"  # the verifier's series with the age of the material that each place lies on
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,10 @@ class LayerTimes:
     """A layer in time.
 
     layer              its index
-    begin, time        when its first place is laid, and from there to the next layer's first place, of the last one to its
-                       own last place [s]
-    covered            share of its time in which it is laid on what this print has laid before
-    least, median, greatest   age of that [s]; None where there is none
+    begin, time        when its first place is laid, and the time from there to the next layer's first place, or for the
+                       last layer to its own last place [s]
+    covered            share of its time in which it is laid on material of this print
+    least, median, greatest   age of that material [s]; None if there is none
     """
 
     layer: int
@@ -34,7 +34,7 @@ class LayerTimes:
 
 
 def layer_times(plan: Plan) -> tuple[LayerTimes, ...]:
-    """All layers of which any is laid, in the order in which they begin."""
+    """All layers that are laid at least in part, in the order in which they begin."""
     t = plan.trajectory
     laid = np.flatnonzero(t.deposit)
     if not len(laid):

@@ -52,10 +52,10 @@ def data_set(plan: Plan) -> xarray.Dataset:
 
 
 def _told(name: str) -> dict[str, str]:
-    """What a column is, as programs that draw data sets look for it."""
+    """A column's meaning and unit, under the names that plotting programs expect."""
     return {"long_name": COLUMNS[name].text, "units": COLUMNS[name].unit}
 
 
 def _about(plan: Plan) -> dict[str, Any]:
-    """What is said of a whole table."""
+    """Attributes of a whole table."""
     return {"problem": plan.name, "strategy": plan.strategy, "verified": int(plan.verified)}

@@ -1,6 +1,7 @@
-"""The Plan: everything that is known at the end, as one frozen value; its columns, its materials, and how it prints.
+"""The Plan: everything known when planning ends, as one frozen value; its columns, materials, and text and HTML forms.
 
-SI units and radians, but for metrics, whose names have their units, and columns, which have those of trajectory.csv.
+SI units and radians, except for metrics, whose names include their units, and columns, which have those of
+trajectory.csv.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
     from planner.resolve.roll_map import RollMap
 
 RAPID_EXTERNAL_AXES = 6
-MOST_SHOWN = 2  # changes of a remedy in words
-# Of dips that no joint limits.
+MOST_SHOWN = 2  # changes of a remedy that are given in words
+# Causes of dips that no joint limit explains, in words.
 CAUSES = {
     "start": "starts from rest",
     "end": "comes to rest",
@@ -48,7 +49,7 @@ CAUSES = {
     "shape": "samples of the path coincide",
 }
 SELECTS = ("select", "change")  # kinds of events after which another tool feeds
-NONE = -1  # in place of a material before the first one is selected
+NONE = -1  # index in place of a material's, before the first one is selected
 EVERY_ROW = slice(None)
 # metric → what it is, unit, factor, decimals
 ROWS = {
@@ -61,7 +62,7 @@ ROWS = {
 }
 
 
-# Units of checks that count, where it is one
+# Singular of the units of checks that count
 _OF_ONE = {
     "places": "place",
     "parts": "part",
@@ -74,10 +75,17 @@ _OF_ONE = {
 
 @dataclass(frozen=True)
 class Check:
-    """One named check of the verifier: the worst value found, its limit, and where it stands.
+    """One named check of the verifier: the worst value found, its limit, and where it was found.
 
-    least  the worst value is the least one, and the limit is one from below
-    sample of the trajectory where it is; -1 if it belongs to none
+    Attributes:
+        name: Name of the check.
+        worst: The worst value found.
+        limit: Its limit.
+        unit: Unit of both.
+        ok: Whether the check holds.
+        where: Where the worst value was found, in words.
+        least: Whether the worst value is the least one, and the limit a lower limit.
+        sample: Index of the trajectory's sample where it was found; -1 if it belongs to none.
     """
 
     name: str
@@ -91,7 +99,7 @@ class Check:
 
     @property
     def worst_unit(self) -> str:
-        """The unit as it stands after the worst value: 1 place, 2 places."""
+        """The unit as it reads after the worst value: 1 place, 2 places."""
         return _OF_ONE.get(self.unit, self.unit) if self.worst == 1.0 else self.unit
 
     @property
@@ -102,9 +110,9 @@ class Check:
 
 @dataclass(frozen=True)
 class Approach:
-    """Where two bodies come nearest to each other: their names, the distance and what they are to keep [m], and when.
+    """Where two bodies come closest to each other: their names, the distance, the required distance [m], and when.
 
-    sample  of the trajectory, the nearest one
+    sample  the closest one of the trajectory
     """
 
     a: str
@@ -118,8 +126,8 @@ class Approach:
 class CellView(ReadOnlyArrays):
     """What the cell looks like, and what moves it, for a picture: one surface for each link, and for each other body.
 
-    names, kinds (b)       of what is drawn; kinds are "arm", "head", "holder", "carried" and "fixture"
-    bodies (b)             names of the bodies, as approaches have them, that each is drawn for
+    names, kinds (b)       of the surfaces; kinds are "arm", "head", "holder", "carried" and "fixture"
+    bodies (b)             names of the bodies, as in approaches, that each surface represents
     vertices, normals      of each: (n, 3) [m] in the world with all joints at 0, and of unit length
     colours, triangles     of each: (n, 3) RGB in 8 bits, and (m, 3)
     joints (b, 2)          of each: joints first to last - 1 of the posture carry it, in this order
@@ -139,9 +147,13 @@ class CellView(ReadOnlyArrays):
 class Remedy:
     """What would avoid a dip: fields of the problem file, and the values that they would need, all of them together.
 
-    kind is "speed", "limits", "corner_tolerance" or "run_in".
-    Values are in the file's units, the change that matters most comes first. exact: at constant speed it follows from
-    this joint path; else it is an estimate. A plan made anew with the change is another one: the search sees it too.
+    Planning again with the change gives another plan, since it affects the search too.
+
+    Attributes:
+        kind: "speed", "limits", "corner_tolerance" or "run_in".
+        changes: Fields and the values that they would need, in the file's units; the change that matters most comes
+            first.
+        exact: Whether it follows from this joint path at constant speed; otherwise it is an estimate.
     """
 
     kind: str
@@ -150,7 +162,7 @@ class Remedy:
 
     @property
     def words(self) -> str:
-        """As it may be written into the problem file, with `about` where it is an estimate; of many the first."""
+        """The changes as in the problem file, with `about` for an estimate; only the first one if there are many."""
         about = "" if self.exact else "about "
         shown = self.changes if len(self.changes) <= MOST_SHOWN else self.changes[:1]
         text = " and ".join(f"{field}: {about}{value:.12g}" for field, value in shown)
@@ -162,14 +174,20 @@ class Remedy:
 class Dip:
     """A stretch of a bead where the tip is slower than commanded, why, and what would avoid it.
 
-    from_s, to_s, at_s   arc length where it begins, where it ends and where it is slowest [m]
-    t                    time of the slowest sample [s]
-    speed                there [m/s]
-    lost                 time lost to it [s]
-    joint, limit         whose "velocity", "acceleration" or "jerk" asks for the lowest constant speed; no joint where
-                         it is none of them: then limit is one of CAUSES
-    over_extruded        material that flows beyond what the bead holds here [m^3]
-    remedies             each by itself avoids it
+    Attributes:
+        bead: Index of the bead.
+        layer: Index of its layer.
+        from_s: Arc length along the bead where the dip begins [m].
+        to_s: Arc length where it ends [m].
+        at_s: Arc length where it is slowest [m].
+        t: Time of the slowest sample [s].
+        speed: Speed there [m/s].
+        lost: Time lost to it [s].
+        joint: Name of the joint with the limit that allows the least constant speed; empty if it is no joint's limit.
+        limit: "velocity", "acceleration" or "jerk" of that joint; if it is no joint's limit, one of CAUSES: "start",
+            "end", "stop" or "shape".
+        over_extruded: Material that flows in excess of what the bead holds here [m^3].
+        remedies: Changes each of which avoids it by itself.
     """
 
     bead: int
@@ -187,20 +205,20 @@ class Dip:
 
     @property
     def cause(self) -> str:
-        """Joint and limit in words, or the rest near by."""
+        """The cause in words: joint and limit, or the text in CAUSES."""
         return CAUSES.get(self.limit) or f"{self.joint} {self.limit}"
 
 
 @dataclass(frozen=True)
 class Advice:
-    """A change that a user could make, tried on some slow beads, and what it gives.
+    """A change that a user could make, tried on some slow beads, and its effect.
 
     kind               "corner_tolerance", "lean" or "speed"
     field, value       of the problem file, in its units
     beads              indices of those that it was tried on
     covered            share of the print's length below speed that lies on these
     share_now, share   of these beads' length at the commanded speed, before and with it
-    time_now, time     that laying them takes [s]
+    time_now, time     that laying them takes, before and with it [s]
     seconds            by which the print takes longer with it, other beads at the same share of their speed [s]
     whole_now, whole   share of the whole print's length at speed, before, and with it on these beads alone
     """
@@ -220,7 +238,7 @@ class Advice:
 
     @property
     def words(self) -> str:
-        """The change, what it gives where it was tried, and what another speed costs."""
+        """The change, its effect where it was tried, and the cost of another speed."""
         longer = f", print {self.seconds:.1f} s longer" if self.kind == "speed" else ""
         return f"{self.field}: {self.value:g} ({self.share_now:.0%} of their length at speed becomes {self.share:.0%}{longer})"
 
@@ -233,7 +251,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class Nearer:
-    """Nozzle and head keep less from part and print than usual, since there is no way with that; distances in metres.
+    """Nozzle and head keep less distance from part and print than usual, because the usual one is not feasible [m].
 
     because  why not, in words
     """
@@ -248,41 +266,53 @@ class Nearer:
         kept, usual = (f"{each * 1e3:g}" for each in (self.kept, self.usual))
         return (
             f"nozzle and head keep {kept} mm from part and print instead of {usual}, and are verified by that: {self.because}; "
-            f"collision.nozzle_mm: {usual} asks for all of it"
+            f"collision.nozzle_mm: {usual} requires the full distance"
         )
 
 
 def resumed_name(name: str, first_bead: int) -> str:
-    """What a problem's print is called that begins with a bead; the problem's own name if that is the first one."""
+    """Name of a problem's print that begins with this bead; the problem's own name if it is the first one."""
     return f"{name}_from_{first_bead}" if first_bead else name
 
 
 @dataclass(frozen=True, repr=False)
 class Plan:
-    """A finished plan. `verified` is true only if every check holds, within the tolerance too where one was asked for.
+    """A finished plan. `verified` is true only if every check holds, also within the tolerance if one was requested.
 
-    Its motion is sampled in `trajectory`, all of whose arrays are read-only; those that are wanted most stand here by
-    their own names: t, q, tip, axis, speed, bead, deposit, s. `table` gives all of them as columns.
+    Its motion is sampled in `trajectory`, all of whose arrays are read-only; those needed most often are available here
+    by their own names: t, q, tip, axis, speed, bead, deposit, s. `table` gives all of them as columns.
 
-    resolved_by: strategy whose paths these are: the default takes a simpler one's where that is better; empty if not known
-    metrics:  name → value, in the units that the name says (see the output contract in the docs)
-    series:   per-sample arrays (n,) that the verifier found on the way, for the report:
-              sigma, wrist_deg (not of seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio,
-              tilt_deg (where the nozzle may lean from the normal), clearance_mm (of whatever is nearest; no more than 50),
-              interlayer_time_s (where something lies on what was laid before; not a number elsewhere)
-    timing_s: seconds by stage
-    baseline: strategy name → its metrics, for the summary beside the chosen strategy
-    dips:     where the speed falls short of the commanded one, in order of time
-    advice:   changes that would help most, tried on some slow beads, the best first
-    headroom: whether it holds for parts that stand a little elsewhere; None without a tolerance
-    approaches: pairs of bodies that come near each other, those that lack most, or are nearest to it, first
-    view:     the bodies of the cell, for pictures
-    paths:    joints along each bead that is laid, by arc length, before they were timed; with roll and tilt
-    roll_maps: what roll could have been chosen: along the whole print, then along the beads where it is tightest
-    nearer:   what nozzle and head keep from part and print, where it is less than usual; the problem says it, too
-    asked:    the motion that programs ask for so that the robot executes the trajectory, where runs have taught which that
-              is; None where it is the trajectory itself
-    seal:     digests of what was verified, and of the verdict, by part (see `planner.plan.seal`); empty if nothing was
+    Attributes:
+        problem: The problem that was planned.
+        cell: Its robots, placed.
+        toolpath: All beads of the print.
+        strategy: Name of the strategy that was asked for.
+        trajectory: The whole motion, sampled.
+        checks: The verifier's checks.
+        metrics: Name → value, in the units that the name gives (see the output contract in the docs).
+        series: Per-sample arrays (n,) that the verifier computed along the way, for the report: sigma, wrist_deg (not
+            for seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio, tilt_deg (if the nozzle
+            may lean from the normal), clearance_mm (from whatever is nearest; at most 50), interlayer_time_s (where a
+            bead lies on material laid before; not a number elsewhere).
+        timing_s: Seconds by stage.
+        versions: Package → version, including Python.
+        baseline: Strategy name → its metrics, for the summary next to the chosen strategy.
+        settings: What else the plan was made with: `dt` [s], the problem's `overrides`, and the names of your own
+            `terms`.
+        resolved_by: Strategy that found these paths: the default takes a simpler one's if they are better; empty if
+            unknown.
+        dips: Where the speed falls short of the commanded one, in order of time.
+        advice: Changes that would help most, tried on some slow beads, the best first.
+        headroom: Whether it holds for slightly displaced parts; None without a tolerance.
+        approaches: Pairs of bodies that come near each other; those that lack most clearance, or have least to spare,
+            first.
+        view: The bodies of the cell, for pictures.
+        paths: Joints along each bead that is laid, by arc length, before timing; with roll and tilt.
+        roll_maps: What roll could have been chosen, along the whole print, then along the beads where it is tightest.
+        nearer: What nozzle and head keep from part and print, if it is less than usual; the problem has it, too.
+        asked: The motion that programs command so that the robot executes the trajectory, as learnt from runs; None if
+            it is the trajectory itself.
+        seal: Digests of what was verified, and of the verdict, by part (see `planner.plan.seal`); empty if nothing was.
     """
 
     problem: Problem
@@ -310,19 +340,31 @@ class Plan:
     seal: Mapping[str, str] = field(default_factory=dict)
 
     def save(self, path: str | Path) -> Path:
-        """Write the whole plan into one file, from which `Plan.load` gives it back to the last bit.
+        """Write the whole plan into one file, from which `Plan.load` restores it to the last bit.
 
-        Raises OutputError where it cannot be written.
+        Args:
+            path: The file to write; an earlier one is replaced.
+
+        Returns:
+            Path of the file.
+
+        Raises:
+            OutputError: If it cannot be written.
         """
         return save(self, path)
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
-        """The plan that `save` wrote. Its cell is made of its problem and the robots' files again.
+        """The plan that `save` wrote. Its cell is built again from its problem and the robots' files.
 
-        What is not as it was when the plan was verified, its file's numbers or a robot's file, is seen by the seal:
-        `write` verifies such a plan anew, and one that another version has verified. Raises InputError for what is no
-        such file, or holds what this version has otherwise.
+        The seal reveals anything that has changed since the plan was verified, be it numbers in its file or a robot's
+        file: `write` verifies such a plan again, and also one that another version has verified.
+
+        Args:
+            path: The file that `save` wrote.
+
+        Raises:
+            InputError: If the file is no saved plan, or does not match this version.
         """
         parts = stored_parts(path, {each.name for each in fields(cls)} - {"cell"})
         wrong = [name for name, kind in KINDS.items() if not isinstance(parts[name], kind)]
@@ -338,12 +380,12 @@ class Plan:
 
     @property
     def stretches(self) -> tuple[Plan, ...]:
-        """The plan itself; of a print with several nozzles a plan for each time that one is in use, from home to home."""
+        """The plan itself, or with several nozzles a plan for each period that one is in use, from home to home."""
         return self._parts or (self,)
 
     @cached_property
     def _parts(self) -> tuple[Plan, ...]:
-        """None where there is one nozzle: a plan that holds itself is not soon let go."""
+        """Empty if there is one nozzle: a plan that refers to itself would be freed late."""
         t = self.trajectory
         found = by_nozzle(self.cell, t.events, t.t)
         if len(found) == 1:
@@ -352,7 +394,7 @@ class Plan:
 
     @property
     def first_bead(self) -> int:
-        """Index of the first bead that is laid; not 0 where an interrupted print is resumed."""
+        """Index of the first bead that is laid; not 0 if an interrupted print is resumed."""
         return self.trajectory.first_bead
 
     @property
@@ -362,14 +404,16 @@ class Plan:
 
     @property
     def begins_with(self) -> str:
-        """Name of the nozzle that has to be on the flange at the start, where one of several is; empty for all others."""
+        """Name of the nozzle that has to be on the flange at the start, if one of several is mounted; else empty."""
         one = self.problem.cell.mounted == "one"
         return self.cell.at(self.beads[0].material).nozzle_name if one else ""
 
     @property
     def pause_left_out(self) -> PauseSpec | None:
-        """The pause before the layer that a resumed print begins with, which comes before the start; None where the layer was
-        begun before, and where none is asked for."""
+        """The pause before the layer that a resumed print begins with, which comes before the start.
+
+        None if that layer was begun earlier, or no pause is requested.
+        """
         pauses = {pause.before_layer - 1: pause for pause in self.problem.process.pauses}
         if not pauses or not self.first_bead:
             return None
@@ -378,34 +422,33 @@ class Plan:
 
     @property
     def commanded(self) -> Array:
-        """Speed (k) [m/s] at which each bead of the toolpath is to be laid."""
+        """Speed (k,) [m/s] at which each bead of the toolpath is to be laid."""
         return np.array([bead.commanded(self.problem.process.speed) for bead in self.toolpath.beads])
 
     @property
     def layers(self) -> int:
-        """Number of layers that they belong to."""
+        """Number of layers that are laid."""
         toolpath = self.toolpath
         return toolpath.layers_from(self.first_bead) if self.first_bead else toolpath.layers
 
     @property
     def name(self) -> str:
-        """The problem's name, and from which bead on it is printed if not from the first."""
+        """The problem's name, with the bead that the print begins with if that is not the first."""
         return resumed_name(self.problem.name, self.first_bead)
 
     @property
     def holds_as_planned(self) -> bool:
-        """True if every check of the verifier holds where the part was planned to stand."""
+        """True if every check of the verifier holds at the part's planned place."""
         return all(check.ok for check in self.checks)
 
     @property
     def verified(self) -> bool:
-        """True if every check of the verifier holds, within the tolerance too where one was asked for."""
+        """True if every check of the verifier holds, also within the tolerance if one was requested."""
         return self.holds_as_planned and (self.headroom is None or self.headroom.holds)
 
     @property
     def from_python(self) -> tuple[str, ...]:
-        """What it was made with that Python alone can give, in words: waypoints from arrays, a strategy and terms of a
-        user's own."""
+        """Inputs that only Python can give, in words: waypoints from arrays, a user's own strategy and terms."""
         arrays = ["waypoints from arrays"] if self.problem.from_arrays else []
         own = [] if self.strategy in STRATEGY_NAMES else [f"strategy {self.strategy}"]
         return (*arrays, *own, *(f"term {name}" for name in self.settings.get("terms", ())))
@@ -424,7 +467,7 @@ class Plan:
 
     @property
     def moving_only(self) -> Plan:
-        """The same plan for a controller that has no external axes which stand: see `Cell.station`."""
+        """The same plan for a controller without the external axes that stand still: see `Cell.station`."""
         return self if self.cell.station is None or len(self.cell.holder) else self._moving_only
 
     @cached_property
@@ -433,17 +476,17 @@ class Plan:
 
     @property
     def t(self) -> Array:
-        """Time (n) of the samples, from 0 [s]."""
+        """Time (n,) of the samples, from 0 [s]."""
         return self.trajectory.t
 
     @property
     def q(self) -> Array:
-        """Joints (n, nj) in the order of `joint_names` [rad, m where they slide]."""
+        """Joints (n, nj) in the order of `joint_names` [rad; m for sliding joints]."""
         return self.trajectory.q
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names (nj) of the joints: the arm's, then those of what holds the part."""
+        """Names (nj) of the joints: the arm's, then those of the part's holder."""
         return self.cell.joint_names
 
     @property
@@ -458,58 +501,69 @@ class Plan:
 
     @property
     def speed(self) -> Array:
-        """Speed (n) of the tip relative to the part [m/s]."""
+        """Speed (n,) of the tip relative to the part [m/s]."""
         return self.trajectory.speed
 
     @property
     def bead(self) -> NDArray[np.int32]:
-        """Index (n) of the bead; -1 in travel."""
+        """Index (n,) of the bead; -1 in travel."""
         return self.trajectory.bead
 
     @property
     def deposit(self) -> NDArray[np.bool_]:
-        """Whether (n) material flows."""
+        """Whether (n,) material flows."""
         return self.trajectory.deposit
 
     @property
     def s(self) -> Array:
-        """Arc length (n) along the bead [m]; 0 in travel."""
+        """Arc length (n,) along the bead [m]; 0 in travel."""
         return self.trajectory.s
 
     def table(self) -> NDArray[np.void]:
-        """All samples as a structured array (n), with the columns of trajectory.csv, not rounded.
+        """All samples as a structured array (n,), with the columns of trajectory.csv, not rounded.
 
-        `plan.table()["x_mm"]` is a column. t_s; bead, -1 in
-        travel; layer; deposit; s_mm; x_mm, y_mm, z_mm of the nozzle tip and its unit axis ax, ay, az, both in the
-        part frame; speed_mm_s; flow_mm3_s; e_mm of filament; then the joints by their names, in rad, or m where they slide.
+        `plan.table()["x_mm"]` is a column.
+
+        Returns:
+            The columns t_s; bead, -1 in travel; layer; deposit; s_mm; x_mm, y_mm, z_mm of the nozzle tip and its unit
+                axis ax, ay, az, both in the part frame; speed_mm_s; flow_mm3_s; e_mm of filament; then the joints by
+                their names, in rad, or m for sliding joints.
         """
         return table_of(self.trajectory, self.joint_names)
 
     def to_pandas(self) -> pandas.DataFrame:
         """The columns of `table` as a data frame; its `attrs` name problem, strategy and verdict.
 
-        Raises InputError without pandas, which the extra `tables` installs.
+        Raises:
+            InputError: If pandas is missing, which the extra `tables` installs.
         """
         return data_frame(self)
 
     def to_xarray(self) -> xarray.Dataset:
         """The columns of `table` along `t_s`, and all joints as `q` along `t_s` and `joint`, with their ranges.
 
-        Raises InputError without xarray, which the extra `tables` installs.
+        Raises:
+            InputError: If xarray is missing, which the extra `tables` installs.
         """
         return data_set(self)
 
     def show(self, height: int = 640) -> InlineScene:
-        """The print in 3-D, played, below a cell of a notebook; elsewhere `plan.show().save("scene.html")` writes the page.
+        """The print in 3-D, animated, below a notebook cell.
 
-        Raises InputError for a height [px] that is none.
+        Elsewhere `plan.show().save("scene.html")` writes the page.
+
+        Args:
+            height: Height of the frame around it [px], 200 to 4000.
+
+        Raises:
+            InputError: If the height is invalid.
         """
-        from planner import show  # by the public name: who draws plans is asked only when one is drawn
+        from planner import show  # by the public name: what draws plans is imported only when one is drawn
 
         return show(self, height)
 
     def summary(self) -> str:
-        """A few lines of text: the verdict, and what matters most."""
+        """A few lines of text: the verdict and the most important metrics."""
         return plan_words(self)
 
     def __repr__(self) -> str:
@@ -519,7 +573,7 @@ class Plan:
         return plan_html(self)
 
 
-# What a plan that is loaded must have, by the names of its fields: kinds, and of what each item is.
+# What a loaded plan must have, by field name: types of the fields, and of their items.
 KINDS: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(("strategy", "resolved_by"), str),
     **dict.fromkeys(("metrics", "series", "timing_s", "versions", "baseline", "settings", "seal"), dict),
@@ -536,13 +590,13 @@ ITEMS: dict[str, type] = {"checks": Check, "dips": Dip, "advice": Advice, "appro
 
 
 def _refuse_wrong(wrong: Sequence[str], path: str | Path) -> None:
-    """Raise InputError for a file some of whose fields are not of a plan."""
+    """Raise InputError for a file if any of its fields do not fit a plan."""
     if wrong:
-        raise InputError(f"{', '.join(wrong)}: not of a plan", file=path, hint="plan it again")
+        raise InputError(f"{', '.join(wrong)}: not what a plan has", file=path, hint="plan it again")
 
 
 def columns_of(trajectory: Trajectory, rows: slice = EVERY_ROW) -> dict[str, NDArray[Any]]:
-    """All columns (n) by name, but for the joints, of some rows: mm, mm/s, mm^3/s; `e_mm` is filament."""
+    """All columns (n) by name, except the joints, of some rows: mm, mm/s, mm^3/s; `e_mm` is filament."""
     t = trajectory
     return {
         "t_s": t.t[rows],
@@ -579,7 +633,7 @@ class Material:
 
 @dataclass(frozen=True)
 class Used:
-    """What a print takes of a material: beads and their length [m], volume laid down [m^3], filament fed [m]."""
+    """How much of a material a print uses: beads and their length [m], volume laid down [m^3], filament fed [m]."""
 
     material: Material
     beads: int
@@ -589,7 +643,7 @@ class Used:
 
 
 def materials_of(problem: Problem) -> tuple[Material, ...]:
-    """All materials that have names, in the problem's order."""
+    """All named materials, in the problem's order."""
     process = problem.process
     return tuple(
         Material(name, process.tool(name), signal, process.nozzle_c(name)) for name, signal in signals(problem).items()
@@ -597,38 +651,40 @@ def materials_of(problem: Problem) -> tuple[Material, ...]:
 
 
 def selected(materials: Sequence[str], events: Sequence[Event], t: Array) -> NDArray[np.intp]:
-    """Index of the material whose tool is selected at instants t (n), as the events say; NONE before the first."""
+    """Index of the material whose tool is selected at instants t (n), by the events; NONE before the first."""
     chosen = sorted((event for event in events if event.kind in SELECTS), key=lambda event: event.start)
     which = [materials.index(event.material) if event.material in materials else NONE for event in chosen]
     return np.array([NONE, *which])[np.searchsorted([event.start for event in chosen], t, side="right")]
 
 
 def by_nozzle(cell: Cell, events: Sequence[Event], t: Array) -> tuple[tuple[Cell, slice], ...]:
-    """The instants t (n) in stretches, in each of which one nozzle is in use, that of the material which is selected: the
-    cell with it, and its samples."""
+    """Split the instants t (n) into stretches with one nozzle in use, that of the selected material.
+
+    For each stretch: the cell with that nozzle, and its samples.
+    """
     if not cell.nozzles:
         return ((cell, slice(0, len(t))),)
     names = list(cell.nozzle_of)
     which = selected(names, events, t)
     known = which[which != NONE]
-    which[which == NONE] = known[0] if len(known) else 0  # it is there before its material is selected
+    which[which == NONE] = known[0] if len(known) else 0  # the first nozzle is there before its material is selected
     nozzle = np.array(list(cell.nozzle_of.values()))[which]
     bounds = [0, *(np.flatnonzero(np.diff(nozzle)) + 1).tolist(), len(t)]
     return tuple((cell.with_nozzle(int(nozzle[a])), slice(a, b)) for a, b in itertools.pairwise(bounds))
 
 
 def filament_areas(problem: Problem, events: Sequence[Event], t: Array) -> Array | float:
-    """Cross-section [m^2] of the filament that is fed: one, or (n) of the tool that is selected at instants t (n)."""
+    """Cross-section [m^2] of the filament that is fed: a single one, or (n) for the tool selected at instants t (n)."""
     process = problem.process
     if not process.materials:
         return float(np.pi * (0.5 * process.filament_diameter) ** 2)
     names = list(process.materials)
     areas = [np.pi * (0.5 * process.of(name).filament_diameter) ** 2 for name in names]
-    return np.array([*areas, 0.0])[selected(names, events, t)]  # the last one where none is selected: nothing comes out
+    return np.array([*areas, 0.0])[selected(names, events, t)]  # the last one for NONE: nothing comes out
 
 
 def used(plan: Plan) -> tuple[Used, ...]:
-    """What the print takes of each material that has a name; what is laid counts to the tool that is selected."""
+    """How much of each named material the print uses; material laid counts towards the selected tool."""
     t, process, found = plan.trajectory, plan.problem.process, []
     materials = materials_of(plan.problem)
     own = selected([material.name for material in materials], t.events, t.t)
@@ -649,7 +705,7 @@ def plan_line(plan: Plan) -> str:
 
 
 def plan_words(plan: Plan) -> str:
-    """The line, a line for each metric that there is, and one for each check that fails."""
+    """The plan's line, a line for each metric that it has, and one for each check that fails."""
     rows = [f"{value:>12}  {label}" for value, label in _rows(plan)]
     return "\n".join([plan_line(plan), *rows, *(f"FAILED {text}" for text in _failed(plan))])
 

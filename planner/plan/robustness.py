@@ -1,7 +1,7 @@
-"""How far from its planned place a part may stand, where it was tried, and what became of the plan there.
+"""How far a part may be from its planned place, which displacements were tried, and how the plan fared there.
 
-A displacement shifts the part and turns it about the middle of what is printed. The tolerance is a ball of them:
-shifts of any direction up to one length, and turns about any axis up to one angle, both at the same time.
+A displacement shifts the part and turns it about the middle of the print. The tolerance is a ball of displacements:
+shifts in any direction up to one length, and turns about any axis up to one angle, both at the same time.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 Vector = tuple[float, float, float]
 
-LARGEST_SHIFT_MM = 100.0  # beyond, a part is somewhere else: its place is measured and planned anew
+LARGEST_SHIFT_MM = 100.0  # beyond, the part is elsewhere: its place has to be measured, and the print planned again
 LARGEST_TURN_DEG = 10.0  # likewise
 NONE: Vector = (0.0, 0.0, 0.0)
 _TERM = re.compile(r"(\d+\.?\d*|\.\d+)\s*([A-Za-z°]+)", re.ASCII)
-# Metrics whose worst value over all placements is told, and whether the least of them is the worst.
+# Metrics whose worst value over all placements is reported, and whether the least or the greatest is the worst.
 LEAST, MOST = min, max
 TOLD = {
     "joint_limit_margin_deg": LEAST,
@@ -39,7 +39,7 @@ TOLD = {
     "deposition_time_s": MOST,
     "print_time_s": MOST,
 }
-CLEARANCE = "clearance"  # in a metric's name: a distance from something, the least of which is the worst
+CLEARANCE = "clearance"  # in a metric's name: a distance from something, of which the least is the worst
 
 
 @dataclass(frozen=True)
@@ -51,34 +51,39 @@ class Tolerance:
 
     @property
     def words(self) -> str:
-        """As it is written on the command line: 2mm,1deg."""
+        """The tolerance as written on the command line: 2mm,1deg."""
         return f"{self.shift * 1e3:.6g}mm,{math.degrees(self.turn):.6g}deg"
 
     def times(self, factor: float) -> Tolerance:
-        """A tolerance so many times as large."""
+        """The tolerance, scaled by a factor."""
         return Tolerance(factor * self.shift, factor * self.turn)
 
 
 def parse_tolerance(text: str) -> Tolerance:
-    """Read `2mm,1deg`, in any order, blanks allowed, one of the two if the other is 0. ValueError says what is wrong."""
+    """Read `2mm,1deg`: in any order, blanks allowed, one of the two if the other is 0.
+
+    Raises ValueError, which says what is wrong.
+    """
     values: dict[str, float] = {}
     for term in text.split(","):
         found = _TERM.fullmatch(term.strip())
         unit = "" if found is None else found[2]
         if found is None or unit not in ("mm", "deg"):
-            raise ValueError(f"{text!r} is no tolerance: a shift in mm, a turn in deg, or both, such as 2mm,1deg")
+            raise ValueError(
+                f"{text!r} is not a tolerance: give a shift in mm, a turn in deg, or both, such as 2mm,1deg"
+            )
         if unit in values:
             raise ValueError(f"{text!r} gives {unit} twice")
         values[unit] = float(found[1])
     for unit, most in (("mm", LARGEST_SHIFT_MM), ("deg", LARGEST_TURN_DEG)):
         if values.get(unit, 0.0) > most:
-            raise ValueError(f"{values[unit]:g} {unit} is too much for a tolerance: at most {most:g} {unit}")
+            raise ValueError(f"{values[unit]:g} {unit} is too large for a tolerance: at most {most:g} {unit}")
     return Tolerance(values.get("mm", 0.0) / 1e3, math.radians(values.get("deg", 0.0)))
 
 
 @dataclass(frozen=True)
 class Displacement:
-    """The part shifted [m] and turned by a rotation vector [rad] about its middle, both in the part frame as planned."""
+    """The part shifted [m] and turned by a rotation vector [rad] about its middle, both in the planned part frame."""
 
     name: str
     shift: Vector = NONE
@@ -94,13 +99,13 @@ class Displacement:
 
 @dataclass(frozen=True)
 class Bound:
-    """How far something can change within the tolerance to first order, where it comes closest to its limit.
+    """How far a margin can change within the tolerance, to first order, where it comes closest to its limit.
 
     what     "joint range", or "singularity margin", which has no joint
-    change   the most that it changes there, in any direction of the tolerance; room: what it has  [rad; σ has no unit]
-    factor   room / change: times the tolerance that it holds for, to first order
+    change   greatest change there, in any direction of the tolerance; room: the margin left  [rad; σ has no unit]
+    factor   room / change: multiple of the tolerance up to which it holds, to first order
     bead, layer, s   where: arc length [m], below 0 or beyond the bead's length in its runs
-    worst    the displacement within the tolerance that changes it so
+    worst    the displacement within the tolerance that causes this change
     """
 
     what: str
@@ -116,7 +121,7 @@ class Bound:
 
 @dataclass(frozen=True)
 class TriedDisplacement:
-    """What became of the plan at one displacement: the verifier's checks and metrics, or why there is no motion."""
+    """The plan at one displacement: the verifier's checks and metrics, or why there is no motion."""
 
     displacement: Displacement
     checks: tuple[Check, ...] = ()
@@ -139,9 +144,9 @@ class TriedDisplacement:
 class Robustness:
     """Whether the plan holds for parts displaced within a tolerance.
 
-    middle   (3) of what is printed, about which the part is turned, part frame [m]
+    middle   (3) middle of the print, about which the part is turned, part frame [m]
     bounds   to first order, along every bead: of the joints' ranges, tightest first, then of the singularity margin
-    tried    displacements solved and verified in full; the first one is where the part was planned to stand
+    tried    displacements solved and verified in full; the first one is the part's planned place
     """
 
     tolerance: Tolerance
@@ -156,7 +161,7 @@ class Robustness:
 
     @property
     def worst_checks(self) -> tuple[tuple[Check, Displacement], ...]:
-        """Every check at its worst over all displacements, and that displacement."""
+        """Every check at its worst over all displacements, with the displacement."""
         by_name: dict[str, list[tuple[Check, Displacement]]] = {}
         for each in self.tried:
             for check in each.checks:
@@ -165,7 +170,7 @@ class Robustness:
 
     @property
     def worst_metrics(self) -> dict[str, tuple[float, Displacement]]:
-        """Metrics that say how well it prints, at their worst over all displacements, and that displacement."""
+        """Metrics of print quality at their worst over all displacements, with the displacement."""
         names = {name: None for each in self.tried for name in each.metrics or {}}
         out = {}
         for name in names:
@@ -176,7 +181,7 @@ class Robustness:
 
 
 def _severity(check: Check) -> tuple[bool, float]:
-    """Sorts checks of one name, the worst first: what fails, then what is nearest to its limit."""
+    """Sort key for checks of one name, the worst first: failures, then those closest to their limit."""
     if math.isnan(check.worst):
         return check.ok, -math.inf
     return check.ok, check.worst - check.limit if check.least else check.limit - check.worst

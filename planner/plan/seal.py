@@ -1,7 +1,7 @@
-"""What a verdict is about: digests of all that the checks were made of, and of the verdict itself.
+"""The seal of a plan: digests of everything its checks were based on, and of the verdict itself.
 
-A plan is frozen, and still `dataclasses.replace` makes another one of it, and arrays can be made writable. Its seal
-tells whether anything was changed since it was verified, and which part.
+A plan is frozen, but `dataclasses.replace` can still make another one from it, and arrays can be made writable. The
+seal shows whether anything was changed since the plan was verified, and which part.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ if TYPE_CHECKING:
 
 INPUTS = ("problem", "cell", "toolpath")  # what is verified against
 VERDICT = ("checks", "metrics", "headroom", "nearer")
-_DIGEST = 16  # bytes: nobody forges what they can seal anew; only a change must not go unseen
+_DIGEST = 16  # bytes: enough for changes to be noticed; there is no point in forging what anyone can seal again
 
 
 def sealed(plan: Plan) -> Plan:
-    """The same plan with the seal of what it is now."""
+    """The same plan with a seal of its present state."""
     return replace(plan, seal=seal_of(plan))
 
 
 def seal_of(plan: Plan) -> dict[str, str]:
     """Digest in hexadecimal of each part of a plan: its inputs, its trajectory, and its verdict.
 
-    Empty for a part with something that has none, which a plan must not be lost for; it counts as changed.
+    Empty for a part that contains something without a digest: the plan must not be lost for it, and it counts as
+    changed.
     """
     parts = {name: getattr(plan, name) for name in (*INPUTS, "trajectory", "asked")}
     parts["verdict"] = tuple(getattr(plan, name) for name in VERDICT)
@@ -45,8 +46,7 @@ def seal_of(plan: Plan) -> dict[str, str]:
 
 
 def changed_since(plan: Plan) -> tuple[str, ...]:
-    """Names of the parts of a plan that are not, or not surely, what its seal says; all but the inputs of a plan that has
-    none."""
+    """Names of the parts of a plan that differ, or may differ, from its seal; without a seal, all but the inputs."""
     if not plan.seal:
         return ("trajectory", "verdict")
     return tuple(name for name, digest in seal_of(plan).items() if not digest or plan.seal.get(name) != digest)
@@ -55,8 +55,9 @@ def changed_since(plan: Plan) -> tuple[str, ...]:
 def digest_of(value: object) -> str:
     """Digest in hexadecimal of dataclasses, models, containers, arrays and numbers, to the last bit.
 
-    Of kinematic models their placements count, of search trees their points; of dataclasses not what they keep while they
-    are used, which they do not compare by. TypeError for anything else: what is not understood is not passed over.
+    Kinematic models count by their names, placements and limits, search trees by their points, dataclasses by the
+    fields that they compare by, so without caches. Raises TypeError for anything else: nothing unknown is skipped
+    silently.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST)
     _feed(digest, value)
@@ -64,7 +65,7 @@ def digest_of(value: object) -> str:
 
 
 def _feed(digest: Any, value: Any) -> None:
-    """Add a value to a digest, with its type, so that different ones never look alike."""
+    """Add a value and its type to a digest, so that different values never look alike."""
     if isinstance(value, np.ndarray | np.generic):
         digest.update(f"array {value.dtype.str} {value.shape} ".encode())
         digest.update(np.ascontiguousarray(value).data)
@@ -90,7 +91,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _contents(value: Any) -> object:
-    """What an object consists of; the classes of libraries are known by what they have, so that none is imported."""
+    """The contents of an object; library classes are recognised by their attributes, so that no library is imported."""
     if is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in fields(value) if field.compare}
     if hasattr(value, "model_fields_set"):  # of pydantic

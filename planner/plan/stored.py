@@ -1,8 +1,8 @@
-"""Plans in a file, and back: numbers to the last bit, nothing that could run.
+"""Plans to a file and back: numbers to the last bit, and nothing executable.
 
-A file is an NPZ archive of plain arrays: one for each type of number, in which all arrays stand one after another, and a
-JSON text of what refers to them. It names classes of this package's values; what is read can be nothing else. The cell is
-not in it: it is made of the problem and its robots' files once more, and the plan's seal tells whether it is the same.
+A file is an NPZ archive of plain arrays: one for each type of number, in which all arrays are concatenated, and a JSON
+text that refers to them. The text names classes of this package's values; nothing else can be read. The cell is not
+stored: it is built again from the problem and the robots' files, and the plan's seal shows whether it is the same.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from planner.plan.plan import Plan
 
 FORMAT = 1
-INPUTS = ("problem", "toolpath")  # what is verified against, and stands in the file
+INPUTS = ("problem", "toolpath")  # what is verified against, and is in the file
 _TEXT = "structure"
-_KINDS = "fiub"  # numbers and truth
-# What classes may be named: frozen values of the rooms that a plan is made of.
+_KINDS = "fiub"  # NumPy kinds of arrays: numbers and booleans
+# Classes that may be named: frozen values in the packages that a plan is made of.
 _HOMES = re.compile(r"planner\.(problem|cell|toolpath|resolve|plan)(\.[a-z][a-z_]*)*")
 _UNREADABLE = (
     zipfile.BadZipFile,
@@ -52,7 +52,7 @@ _UNLIKE = (TypeError, OverflowError, ValueError, KeyError, IndexError, Attribute
 
 
 def save(plan: Plan, path: str | Path) -> Path:
-    """Write a plan into one file, in place of an earlier one. Raises OutputError where it cannot be written."""
+    """Write a plan into one file, replacing an earlier one. Raises OutputError if it cannot be written."""
     target = as_path(path, "path")
     taking = _Taking()
     parts = {field.name: taking.of(getattr(plan, field.name)) for field in fields(plan) if field.name != "cell"}
@@ -81,7 +81,7 @@ def save(plan: Plan, path: str | Path) -> Path:
 
 
 def stored_parts(path: str | Path, names: Collection[str]) -> dict[str, Any]:
-    """The fields of a plan that `save` wrote, by their names, all but its cell. Raises InputError for anything else."""
+    """The fields of a plan that `save` wrote, by name, except its cell. Raises InputError for anything else."""
     source = as_path(path, "path")
     try:
         with np.load(source, allow_pickle=False) as archive:
@@ -94,12 +94,12 @@ def stored_parts(path: str | Path, names: Collection[str]) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror or error}", file=source) from error
     except MemoryError as error:
-        raise InputError("holds more than there is memory for", file=source) from error
+        raise InputError("is too large for the memory", file=source) from error
     except _UNREADABLE as error:
-        raise InputError("is no plan that was saved", file=source, hint="plan.save(path) makes one") from error
+        raise InputError("is not a saved plan", file=source, hint="plan.save(path) makes one") from error
     if not isinstance(found, dict) or found.get("format") != FORMAT:
-        raise InputError("is no plan that was saved by this version", file=source, hint="plan it again")
-    unlike = f"does not hold a plan of beadwise {found.get('beadwise')} as this version has them"
+        raise InputError("is not a plan saved by this version", file=source, hint="plan it again")
+    unlike = f"holds a plan of beadwise {found.get('beadwise')} that this version cannot read"
     try:
         giving = _Giving(found["objects"], arrays)
         parts: dict[str, Any] = {name: giving.of(value) for name, value in found["plan"].items()}
@@ -110,15 +110,16 @@ def stored_parts(path: str | Path, names: Collection[str]) -> dict[str, Any]:
     except _UNLIKE as error:
         raise InputError(unlike, file=source, hint="plan it again") from error
     if changed:
-        # Searched by compiled code, which trusts what it is given. A motion or a verdict that was changed is verified anew.
-        other = found.get("beadwise") != versions().get("beadwise")  # where a new field is missing, it is another input
-        reason = unlike if other else f"not what was saved: its {' and its '.join(changed)}"
+        # Inputs are searched by compiled code, which trusts them. A changed motion or verdict is only verified again.
+        # Another version may have other fields, which make it another input.
+        other = found.get("beadwise") != versions().get("beadwise")
+        reason = unlike if other else f"changed since it was saved: its {' and its '.join(changed)}"
         raise InputError(reason, file=source, hint="plan it again")
     return parts
 
 
 def _digest(value: object) -> str:
-    """Digest of an input; empty for one that has none."""
+    """Digest of an input; empty if it has none."""
     try:
         return digest_of(value)
     except TypeError:
@@ -126,16 +127,16 @@ def _digest(value: object) -> str:
 
 
 class _Taking:
-    """Values on their way into a file: every object once, arrays in one row for each type of number."""
+    """Values on their way into a file: every object once, arrays concatenated by type of number."""
 
     def __init__(self) -> None:
         self.objects: list[Any] = []
         self.rows: dict[str, list[NDArray[Any]]] = {}
         self._filled: dict[str, int] = {}
-        self._known: dict[int, tuple[Any, Any]] = {}  # by identity; the value is kept, so that no other gets its number
+        self._known: dict[int, tuple[Any, Any]] = {}  # by id; the value is kept alive, so that its id is not reused
 
     def of(self, value: Any) -> Any:
-        """What stands for a value in JSON: itself, a list whose first item says what it is, or the number of an object."""
+        """A value as JSON: itself, a list whose first item gives its kind, or the number of an object."""
         if value is None or isinstance(value, bool | str):
             return value
         if isinstance(value, enum.Enum):
@@ -166,7 +167,7 @@ class _Taking:
     def _object(self, value: Any) -> Iterator[Any]:
         if isinstance(value, np.ndarray):
             yield from ("array", self._array(value))
-        elif is_dataclass(value):  # the fields that it does not compare by are found again when they are asked for
+        elif is_dataclass(value):  # fields that it does not compare by are computed again on demand
             kept = [each.name for each in fields(value) if each.compare]
             yield from (_home(type(value)), {name: self.of(getattr(value, name)) for name in kept})
         elif hasattr(value, "model_fields_set"):  # of pydantic
@@ -192,14 +193,14 @@ class _Taking:
 
 
 class _Giving:
-    """Values on their way out of a file; each object is made once, when it is first asked for."""
+    """Values on their way out of a file; each object is made once, when it is first needed."""
 
     def __init__(self, objects: list[Any], arrays: Mapping[str, NDArray[Any]]) -> None:
         self._objects, self._arrays = objects, arrays
         self._made: dict[int, Any] = {}
 
     def of(self, told: Any) -> Any:
-        """The value that something in JSON stands for. Raises one of _UNLIKE for what stands for none."""
+        """The value that a piece of JSON represents. Raises one of _UNLIKE if it represents none."""
         if not isinstance(told, list):
             return told
         kind, *rest = told
@@ -265,7 +266,7 @@ def _home(of: type) -> str:
 
 
 def _class(told: str, of: type) -> Any:
-    """A class of this package's values by its home. Raises TypeError for any other."""
+    """A class of this package's values, from its `module:name`. Raises TypeError for any other."""
     module, _, name = told.partition(":")
     if not _HOMES.fullmatch(module) or not name.isidentifier():
         raise TypeError(f"{told} is no value of a plan")

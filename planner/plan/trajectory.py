@@ -1,4 +1,4 @@
-"""The whole motion as samples, and what the extruder does besides."""
+"""The whole motion as samples, and the extruder's events."""
 
 from __future__ import annotations
 
@@ -9,21 +9,26 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
 
-TRAVEL = -1  # index of the bead where there is none
-WHOLE = ("dt", "events", "first_bead")  # fields of a trajectory that are not by sample
-# Arrays that hold no floats, by the kind of what they hold; and those with columns, besides the joints.
+TRAVEL = -1  # bead index where there is none
+WHOLE = ("dt", "events", "first_bead")  # fields of a trajectory that are not per sample
+# NumPy kinds of the arrays that hold no floats; and column counts of two-dimensional arrays other than the joints.
 _KINDS = {"bead": "i", "layer": "i", "branch": "i", "deposit": "b"}
 _COLUMNS = {"tip": 3, "quat": 4, "axis": 3}
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that the extruder or its heating does: "heat", "select", "purge", "prime", "retract", "cut", "change",
-    "pause" (which a layer asks for), "cool" (a rest until the layer before has had its time, or what is below is old enough).
+    """An action of the extruder or its heating.
 
-    bead its index, or -1; start, duration [s]; amount of filament [m], signed, 0 if none
-    material by its name: what is moved, or selected, or changed to; empty where materials have no names
-    note     what a pause is for
+    Attributes:
+        kind: "heat", "select", "purge", "prime", "retract", "cut", "change", "pause" (before a layer), or "cool" (a
+            rest until the previous layer has had its time, or the material below is old enough).
+        bead: Index of the bead, or -1.
+        start: Time at which it starts [s].
+        duration: How long it takes [s].
+        amount: Amount of filament [m], signed, 0 if none.
+        material: Name of the material that is moved, selected or changed to; empty if materials have no names.
+        note: What a pause is for.
     """
 
     kind: str
@@ -36,7 +41,7 @@ class Event:
 
     @property
     def words(self) -> str:
-        """What it is, and of which bead."""
+        """The event in words, with its bead."""
         what = f"{self.kind} {self.material}" if self.kind == "select" else self.kind
         what = f"change to {self.material}" if self.kind == "change" else what
         what = f"pause: {self.note}" if self.kind == "pause" and self.note != "pause" else what
@@ -47,23 +52,26 @@ class Event:
 class Trajectory(ReadOnlyArrays):
     """The whole motion, sampled every `dt` seconds (n samples; SI units, radians).
 
-    bead          (n,) int32  index of the bead, or TRAVEL (-1); run-in and run-out count as travel
-    layer         (n,) int32
-    deposit       (n,) bool   material flows
-    s             (n,)        arc length along the bead [m]; 0 in travel
-    q             (n, nj)     joints in the cell's order: arm, then the positioner's free axes
-    tip           (n, 3)      nozzle tip in the part frame [m]
-    quat          (n, 4)      orientation of the nozzle frame in the part frame, x y z w; its z is the axis
-    axis          (n, 3)      unit nozzle axis, from the nozzle into the part, part frame
-    branch        (n,) int8   ABB's cfx: 4 wrist centre behind axis 1, 2 behind the lower arm, 1 axis 5 negative;
-                              without a spherical wrist the number that the inverse kinematics gives the branch
-    speed         (n,)        of the tip relative to the part [m/s]
-    flow          (n,)        of material [m^3/s]
-    extruded      (n,)        volume deposited since the start [m^3]
-    feed          (n,)        filament that the motor has pushed since the start [m]: what is deposited, ahead by the
-                              extruder's lag, primes and retracts
-    events                    what the extruder and its heating do besides, in order of time
-    first_bead                index of the first bead that is laid; those before it are there from the beginning
+    Attributes:
+        dt: Time between samples [s].
+        t: Time (n,) of the samples, from 0 [s].
+        bead: Index (n,) int32 of the bead, or TRAVEL (-1); run-in and run-out count as travel.
+        layer: Index (n,) int32 of the bead's layer; in travel, of the next bead's, or at the end, of the last one's.
+        deposit: Whether (n,) bool material flows.
+        s: Arc length (n,) along the bead [m]; 0 in travel.
+        q: Joints (n, nj) in the cell's order: arm, then the positioner's free axes [rad; m for sliding joints].
+        tip: Nozzle tip (n, 3) in the part frame [m].
+        quat: Orientation (n, 4) of the nozzle frame in the part frame, x y z w; its z is the axis.
+        axis: Unit nozzle axis (n, 3), from the nozzle into the part, part frame.
+        branch: ABB's cfx (n,) int8, a sum of 4 for the wrist centre behind axis 1, 2 for it behind the lower arm, and 1
+            for a negative axis 5; without a spherical wrist, the number that the inverse kinematics gives the branch.
+        speed: Speed (n,) of the tip relative to the part [m/s].
+        flow: Flow (n,) of material [m^3/s].
+        extruded: Volume (n,) deposited since the start [m^3].
+        feed: Filament (n,) that the motor has pushed since the start [m]: for the deposited volume, ahead by the
+            extruder's lag, and for primes and retracts.
+        events: What else the extruder and its heating do, in order of time.
+        first_bead: Index of the first bead that is laid; those before it are there from the beginning.
     """
 
     dt: float
@@ -85,7 +93,11 @@ class Trajectory(ReadOnlyArrays):
     first_bead: int = 0
 
     def is_of(self, joints: int) -> bool:
-        """Whether it is what the fields say, for so many joints: what is read from a file may be anything."""
+        """Whether all fields are of their declared types, for so many joints: a file may contain anything.
+
+        Args:
+            joints: Number of joints.
+        """
         if not isinstance(self.dt, float) or not isinstance(self.first_bead, int):
             return False
         if not isinstance(self.events, tuple) or self.odd_array(joints):
@@ -94,8 +106,13 @@ class Trajectory(ReadOnlyArrays):
         return rows == {len(self.t)} and all(isinstance(event, Event) for event in self.events)
 
     def odd_array(self, joints: int) -> str:
-        """Name of the first array whose numbers or columns are of another kind than the fields say, for so many joints,
-        however many rows it has; empty where none is."""
+        """Name of the first array whose type or number of columns is wrong, for so many joints; empty if none is.
+
+        The number of rows is not checked.
+
+        Args:
+            joints: Number of joints.
+        """
         columns = _COLUMNS | {"q": joints}
         for each in fields(self):
             if each.name in WHOLE:
@@ -111,7 +128,11 @@ class Trajectory(ReadOnlyArrays):
         return ""
 
     def part(self, rows: slice) -> Trajectory:
-        """Some samples as a motion of their own, whose time, filament and volume begin at 0."""
+        """Some samples as a separate motion, whose time, filament and volume begin at 0.
+
+        Args:
+            rows: The samples, with a start and a stop.
+        """
         a, b = rows.start, rows.stop
         begin, end = self.t[a - 1] if a else -np.inf, self.t[b - 1] if b < len(self) else np.inf
         laid = self.bead[rows][self.bead[rows] != TRAVEL]
@@ -127,7 +148,7 @@ class Trajectory(ReadOnlyArrays):
 
     @property
     def begun(self) -> NDArray[np.int64]:
-        """Index (n) of the last bead that was begun; before the first of this motion, the one before that."""
+        """Index (n,) of the last bead begun; before this motion's first bead, the one preceding that."""
         return np.maximum.accumulate(np.maximum(self.bead, self.first_bead - 1).astype(np.int64))
 
     def __len__(self) -> int:

@@ -1,1 +1,1 @@
-"""From a problem to a verified plan and its files: the table of contents of all that is done."""
+"""From a problem to a verified plan and its files: the table of contents of the whole process."""

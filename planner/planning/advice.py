@@ -1,9 +1,9 @@
-"""What would help most: changes that a user could make, each planned on some slow beads, told by what it gives.
+"""What would help most: changes that a user could make, each planned on some slow beads and reported with its effect.
 
-A change is tried with the search, refinement and timing of the plan itself, but only on the beads with most length below
-speed, as far as that is cheap: the whole print would take as long again for each. What is told of the whole print is
-therefore what these beads alone make of it. Another speed is tried along the same joint paths.
-Clearance is that of the print as planned; travel, and what verification says, only a new plan tells.
+A change is tried with the search, refinement and timing of the plan itself, but only on the beads with most length
+below speed, as far as that is cheap: each trial of the whole print would take as long as the plan. The effect reported
+for the whole print is therefore that of these beads alone. Another speed is tried along the same joint paths. Clearance
+is that of the print as planned; only a new plan shows the effect on travel and the outcome of verification.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
 from planner.verify.checks import SPEED_TOLERANCE
 
-SHARE = 0.08  # of the print's waypoints that each change is tried on, at most,
-LEAST = 400  # or so many, which take no time worth telling
-SLOWER = 0.75  # of the commanded speed
-CORNER = 0.5  # of a bead's width: the widest corner tolerance
+SHARE = 0.08  # greatest share of the print's waypoints that each change is tried on
+LEAST = 400  # waypoints that may be tried whatever their share: they take next to no time
+SLOWER = 0.75  # × the commanded speed
+CORNER = 0.5  # × a bead's width: the widest corner tolerance
 LEAN = math.radians(5.0)
 WIDEST_CORNER = 1e-3  # m, whatever the bead's width
 STEP = 4e-3  # s between the instants at which a timed bead is judged
-GAIN = 2e-3  # share of the length at speed, of the print, that is worth telling
+GAIN = 2e-3  # least gain that is reported, in share of the print's length at speed
 _ROUNDING = 1e-12  # m, rad
-_EVERY = 4  # of many beads one in so many goes first,
-_MANY = 16  # beads; and all are tried where these
-_PROMISING = 0.5  # of GAIN promise as much of it
+_EVERY = 4  # of many slow beads, one in so many is tried first
+_MANY = 16  # beads from which on they count as many
+_PROMISING = 0.5  # × GAIN: least gain that these few must promise for all slow beads to be tried
 
 
 @dataclass(frozen=True)
 class SpeedTotals:
-    """Beads in time: length at the commanded speed, length in all [m], and how long they take [s]."""
+    """Beads in time: length at the commanded speed, total length [m], and how long they take [s]."""
 
     at_speed: float
     length: float
@@ -57,13 +57,13 @@ class SpeedTotals:
 
     @property
     def share(self) -> float:
-        """Of the length at speed."""
+        """Share of the length at speed."""
         return self.at_speed / self.length if self.length else 1.0
 
 
 @dataclass(frozen=True)
 class Changed:
-    """A change of one field: its kind, the field, its value as the file holds it, and the problem that has it."""
+    """A change of one field: its kind, the field, its value as in the file, and the changed problem."""
 
     kind: str
     field: str
@@ -74,10 +74,10 @@ class Changed:
 def advise(
     given: PlanningContext, paths: Sequence[JointPath], trajectory: Trajectory, dips: Sequence[Dip]
 ) -> tuple[Advice, ...]:
-    """Changes within bounds that raise the print's length at speed, what costs least for its gain first; none where nothing is
-    slow, or where all slow beads are too large to try.
+    """Changes within bounds that raise the print's length at speed, those with the lowest cost for their gain first.
 
-    given: what was planned; paths: of its beads, in their order; trajectory: of these
+    None if nothing is slow, or if all slow beads are too large to try.
+    given: what was planned; paths: those of its beads, in order; trajectory: along these
     """
     commanded = np.array([path.task.speed for path in paths])
     whole = recorded(trajectory, commanded, range(len(paths)))
@@ -122,7 +122,7 @@ def advise(
 
 
 def promises(before: SpeedTotals, tried: SpeedTotals, now: SpeedTotals, whole: SpeedTotals) -> bool:
-    """Whether a change is worth trying on all beads that are slow, for what it does to some of them.
+    """Whether a change is worth trying on all slow beads, judged by its effect on a few of them.
 
     before, tried: these few, as planned and with the change; now: all slow beads as planned; whole: the print.
     """
@@ -130,7 +130,7 @@ def promises(before: SpeedTotals, tried: SpeedTotals, now: SpeedTotals, whole: S
 
 
 def recorded(trajectory: Trajectory, commanded: Array, beads: Sequence[int]) -> SpeedTotals:
-    """Some beads as a trajectory lays them, without the rests in them; commanded: speeds of all [m/s]."""
+    """Totals of some beads as a trajectory lays them, without rests; commanded: speeds of all beads [m/s]."""
     t = trajectory
     own = t.deposit & np.isin(t.bead, list(beads))
     speed = t.speed[own]
@@ -139,7 +139,7 @@ def recorded(trajectory: Trajectory, commanded: Array, beads: Sequence[int]) -> 
 
 
 def below_speed(trajectory: Trajectory, commanded: Array) -> Array:
-    """Length (beads) of each bead that is laid below its commanded speed [m/s], as a trajectory has it [m]."""
+    """Length (beads) of each bead that a trajectory lays below its commanded speed [m]; commanded: speeds [m/s]."""
     t = trajectory
     own = t.deposit & (t.bead >= 0)
     bead, speed = t.bead[own], t.speed[own]
@@ -148,9 +148,9 @@ def below_speed(trajectory: Trajectory, commanded: Array) -> Array:
 
 
 def worst_beads(paths: Sequence[JointPath], slow: Mapping[int, float]) -> list[int]:
-    """Indices of the beads that have most length below speed, as many as may be tried, in order of the print.
+    """Indices of the beads with most length below speed, as many as may be tried, in order of the print.
 
-    slow: that length [m], by bead. Those too large are left out, since length at speed adds up whichever bead it is on.
+    slow: that length [m], by bead. Beads that are too large are left out: length at speed counts the same on any bead.
     """
     left = max(SHARE * sum(len(path.q) for path in paths), LEAST)
     out = []
@@ -162,9 +162,9 @@ def worst_beads(paths: Sequence[JointPath], slow: Mapping[int, float]) -> list[i
 
 
 def changes(problem: Problem) -> Iterator[Changed]:
-    """What a user could change, each by itself: corners rounder, the nozzle leaning, and a lower speed."""
+    """What a user could change, one at a time: rounder corners, a leaning nozzle, or a lower speed."""
     process = problem.process
-    # in hundredths of a millimetre, as one would write it
+    # in hundredths of a millimetre, as a user would write it
     widest = math.floor(min(CORNER * process.bead.width, WIDEST_CORNER) * 1e5 + _ROUNDING) * 1e-5
     if widest > process.corner_tolerance + _ROUNDING:
         changed = process.model_copy(update={"corner_tolerance": widest})
@@ -172,7 +172,7 @@ def changes(problem: Problem) -> Iterator[Changed]:
     if process.cones.tilt + _ROUNDING < LEAN:
         changed = process.model_copy(update={"cones": process.cones.model_copy(update={"tilt": LEAN})})
         yield _change(problem, "lean", "process.cones.nozzle_normal_deg", math.degrees(LEAN), changed)
-    if not process.speeds and process.layer_time is None:  # beads that have speeds of their own would keep them
+    if not process.speeds and process.layer_time is None:  # beads with speeds of their own would keep them
         speed = SLOWER * process.speed
         yield _change(problem, "speed", "process.speed_mm_s", speed * 1e3, process.model_copy(update={"speed": speed}))
 
@@ -184,8 +184,8 @@ def _change(problem: Problem, kind: str, field: str, value: float, process: obje
 def _trial(
     given: PlanningContext, change: Changed, paths: Sequence[JointPath]
 ) -> Callable[[Sequence[int]], SpeedTotals | None]:
-    """What tells how some beads are laid with a change; None where they have no way, or are other beads with it. At another
-    speed the joints keep to their paths."""
+    """A function that plans some beads with a change and gives their totals; None if they have no way, or if the change
+    makes other beads of them. At another speed the joints keep to their paths."""
     problem = change.problem
     toolpath = given.toolpath
     if change.kind == "corner_tolerance":
@@ -217,7 +217,7 @@ def _trial(
 
 
 def _laid(given: PlanningContext, paths: Sequence[JointPath]) -> SpeedTotals:
-    """Beads timed, and judged every few milliseconds."""
+    """Time the beads, and judge them every few milliseconds."""
     process = given.problem.process
     moving = process.hand_over == "motion"
     each = [laid(time_path(given.cell, path, (moving, moving), given.problem.resolve.timing)) for path in paths]
@@ -227,7 +227,7 @@ def _laid(given: PlanningContext, paths: Sequence[JointPath]) -> SpeedTotals:
 
 
 def laid(timed: TimedPath) -> SpeedTotals:
-    """Of one bead in time, without its runs and rests."""
+    """Totals of one timed bead, without its runs and rests."""
     task = timed.path.task
     low, high = float(task.s[task.first]), float(task.s[task.last])
     t = np.append(np.arange(0.0, timed.duration, STEP), timed.duration)

@@ -1,4 +1,4 @@
-"""Many problems, one after another or in several processes: what one of them is refused for is its result."""
+"""Many problems, one after another or in several processes: the refusal of one of them is its result."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ Asked = Problem | str | Path
 
 @dataclass(frozen=True)
 class Solved:
-    """What became of one problem of many.
+    """The result for one problem of many.
 
-    problem  as it was given
-    plan     its plan, verified or not; None where there is none
-    error    why there is none: InputError, Refusal, or what ended its process; the hints of a Refusal are found when they
-             are asked for, by planning the problem once more
-    seconds  that it took
+    Attributes:
+        problem: The problem as it was given.
+        plan: Its plan, verified or not; None if there is none.
+        error: Why there is no plan, as InputError, Refusal, or what ended its process; the hints of a Refusal are found
+            on demand, by planning the problem once more.
+        seconds: Time that it took [s].
     """
 
     problem: Asked
@@ -48,7 +49,7 @@ class Solved:
 
     @property
     def name(self) -> str:
-        """The problem's name, or what was given where it could not be read."""
+        """The problem's name, or what was given if it could not be read."""
         if self.plan is not None:
             return self.plan.name
         return self.problem.name if isinstance(self.problem, Problem) else str(self.problem)
@@ -59,7 +60,7 @@ class Solved:
 
 @dataclass(frozen=True)
 class _Item:
-    """What another process needs: a problem, options, and where its plan is to be saved; no file in this one."""
+    """What another process needs: a problem, options, and the file for its plan, None in this process."""
 
     problem: Asked
     strategy: str | None
@@ -89,15 +90,25 @@ def solve_all(
     progress: bool = True,
     done: Callable[[Solved], object] | None = None,
 ) -> tuple[Solved, ...]:
-    """Solve many problems as `solve` does each; what has no plan does not end the others.
+    """Solve many problems, each as by `solve`; a problem without a plan does not end the others.
 
-    problems  each as `solve` takes it
-    strategy, dt, tolerance, baseline, terms  for all, as in `solve`
-    jobs      processes, started afresh; a script that asks for several does so only where it is the one that was started
-    progress  whether a bar on stderr shows how many are done, where that is a terminal or a notebook
-    done      is told what became of each problem as soon as it is known, in the order in which they are done
+    Args:
+        problems: Problems, each as `solve` takes it.
+        strategy: As in `solve`, for all problems; a strategy of your own needs `jobs=1`.
+        dt: As in `solve`, for all problems [s].
+        tolerance: As in `solve`, for all problems.
+        baseline: As in `solve`, for all problems.
+        terms: As in `solve`, for all problems; they need `jobs=1`.
+        jobs: Number of processes; several are started afresh, so a script may ask for them only when run as the main
+            module.
+        progress: Whether a bar shows how many are done, if stderr is a terminal or a notebook.
+        done: Called with the result of each problem as soon as it is known, in the order in which they finish.
 
-    Returns what became of each, in the order of the problems. Raises InputError for what is wrong with the arguments.
+    Returns:
+        The results in the order of the problems.
+
+    Raises:
+        InputError: If an argument is wrong.
     """
     if isinstance(problems, (str, Path, Problem)):
         raise InputError("must be a list of problems", field="problems", hint="solve takes one of them")
@@ -113,7 +124,7 @@ def solve_all(
     if type(jobs) is not int or not 1 <= jobs <= MOST_JOBS:
         raise InputError(f"{jobs!r} is not a number of processes", field="jobs", hint=f"1 to {MOST_JOBS}")
     if jobs > 1 and terms:
-        raise InputError("other processes cannot ask terms of this one", field="terms", hint="jobs=1")
+        raise InputError("cannot be evaluated in other processes", field="terms", hint="jobs=1")
     if jobs > 1 and strategy is not None and strategy not in STRATEGY_NAMES:
         raise InputError(f"other processes do not know {strategy!r}", field="strategy", hint="jobs=1")
     found: dict[int, Solved] = {}
@@ -146,7 +157,7 @@ def solve_all(
 
 
 def _solved(item: _Item) -> _Done:
-    """A problem's plan, saved where that is asked for, or why there is none."""
+    """A problem's plan, saved if a file is given for it, or why there is none."""
     begun, plan, error = time.perf_counter(), None, None
     try:
         plan = _plan_of(item, item.baseline)
@@ -161,8 +172,11 @@ def _plan_of(item: _Item, baseline: bool) -> Plan:
 
 
 def _alone(error: PlannerError) -> PlannerError:
-    """An error without what it holds: the frames that it came through, with all that was searched, some 100 MB of many
-    problems, and what tries its hints, which would be asked before it goes to another process."""
+    """An error stripped of what it holds on to.
+
+    The frames that it came through hold everything that was searched, some 100 MB with many problems; and its hints
+    would be tried before it is sent to another process.
+    """
     error.__cause__ = error.__context__ = None
     if isinstance(error, Refusal):
         error.advised_by(())
@@ -170,7 +184,7 @@ def _alone(error: PlannerError) -> PlannerError:
 
 
 def _hints_of(item: _Item) -> Hints:
-    """What a refusal advises, found by planning the problem once more; nothing where that ends otherwise now."""
+    """A refusal's hints, found by planning the problem once more; none if that ends differently now."""
     try:
         _plan_of(item, baseline=False)
     except Refusal as refused:
@@ -181,7 +195,7 @@ def _hints_of(item: _Item) -> Hints:
 
 
 def _taken(plan: Plan | Path | None) -> Plan | None:
-    """The plan; one that another process has saved is loaded, and its file goes: hundreds would fill a disk."""
+    """The plan; if another process has saved it, it is loaded and its file deleted: hundreds would fill a disk."""
     if not isinstance(plan, Path):
         return plan
     found = Plan.load(plan)

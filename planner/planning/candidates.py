@@ -1,8 +1,8 @@
-"""The default strategy against the simpler ones: whatever one of these prints, it prints at least as well.
+"""The default strategy against the simpler ones: whatever these can print, it prints at least as well.
 
-A path that was searched and refined is nearly always the best one. Where it is refused, fails verification, loses speed, or
-spends much of the print's time on travel, the paths of the simpler strategies are planned as well, as they are and refined,
-and the best plan is taken.
+A path that was searched and refined is nearly always the best one. If it is refused, fails verification, loses speed,
+or spends much of the print's time on travel, the paths of the simpler strategies are planned as well, both as they are
+and refined, and the best plan is taken.
 """
 
 from __future__ import annotations
@@ -26,43 +26,43 @@ from planner.resolve.terms import model_of
 from planner.verify.verdict import Report
 
 DEFAULT = "sqp"
-OLDEST = "interlayer time at most"  # the check of a window that is too narrow for what a layer takes
+OLDEST = "interlayer time at most"  # the check that fails if the window is too narrow for a layer's duration
 SIMPLER = ("ladder", "as_published", "fixed", "greedy")
-# Of these, the ones that search a part of what the default's first search covers whole, unless there are several joints to
-# choose, and are seldom worth their time. Their tables rest but for one axis, too: where cones bind a table they lead nowhere.
+# Those that search a part of what the default's first search covers entirely, unless there are several joints to
+# choose, and are seldom worth their time. They also keep all axes of a table but one at rest, which leads nowhere where
+# cones bind the table.
 COVERED = ("fixed", "greedy")
-SMALL = 5_000  # waypoints up to which they are asked all the same, and any loss of speed is worth asking others
-AT_SPEED = 0.999  # share of the length at speed below which others are asked,
-LARGE_AT_SPEED = 0.99  # and above SMALL waypoints, where to ask them takes longer than all else
-TRAVEL_SHARE = 0.35  # of the print's time above which others are asked
-# Waypoints up to which they are asked where a little of the time is travel, and all timed: what travel takes, timing tells.
+SMALL = 5_000  # waypoints up to which they are tried all the same, and AT_SPEED applies
+AT_SPEED = 0.999  # share of the length at speed below which others are tried,
+LARGE_AT_SPEED = 0.99  # or this above SMALL waypoints, where trying them takes longer than everything else
+TRAVEL_SHARE = 0.35  # share of the print's time above which others are tried
+# Waypoints up to which others are tried from SOME_TRAVEL on, and all of them are timed: only timing reveals what travel
+# takes.
 TINY = 2_000
-SOME_TRAVEL = 0.05  # of the print's time
+SOME_TRAVEL = 0.05  # share of the print's time
 LARGE = 20_000  # waypoints above which a verified plan is taken as it is: the others would take too long
-MANY = 1_000  # beads above which it is, too: to travel between them takes some 10 ms a bead and plan, of which there are seven
-SAME_SPEED = 1e-3  # share of the length at speed within which two plans are as good
-AS_GOOD_SPEED, AS_GOOD_TIME = (
-    9e-4,
-    1.019,
-)  # less at speed, times the least time, with which a plan is as good as any in both
+MANY = 1_000  # beads above which it is, too: travel takes some 10 ms per bead and plan, and there are seven plans
+SAME_SPEED = 1e-3  # share of the length at speed within which two plans are equally good
+# Share of the length at speed less than the best, and × the least time: a plan within both is as good as any.
+AS_GOOD_SPEED, AS_GOOD_TIME = 9e-4, 1.019
 WORTH_TIMING = 5e-4  # share of the time that paths must save before they are timed and verified
-SAME_TIME = 1.01  # times the least cost within which the default's own plan is taken
+SAME_TIME = 1.01  # × the least cost within which the default's own plan is taken
 SPEED_PRICE = 5.0  # 1 % of the length at speed is worth so many per cent of the print's time
-LONGER = 1.02  # times the least time, above which the ladder's paths are refined once more,
+LONGER = 1.02  # × the least time above which the ladder's paths are refined once more,
 HELD = "ladder, refined with ends held"
-CLEAR = "ladder with its head clear"  # though the nozzle may lean, which the usual search counts on
-HOLDS = 100.0  # times the usual price of ends of beads that move
-# Events in which the robot rests for as long whatever its joint paths are.
+CLEAR = "ladder with its head clear"  # upright, although the usual search relies on a nozzle that may lean
+HOLDS = 100.0  # × the usual price of moving the ends of beads
+# Events in which the robot rests equally long whatever its joint paths are.
 WAITS = frozenset({"heat", "purge", "pause", "change", "cut"})
 FAR_BEYOND = 0.1  # rad beyond a cone, and
-FAR_BEHIND = 0.01  # share of the time lost more, from which refining seldom brings paths back
+FAR_BEHIND = 0.01  # additional share of the time lost, from which refining seldom recovers paths
 
 
 @dataclass(frozen=True)
 class PlannedPaths:
-    """Joint paths of all beads with what they make: the trajectory, what verification says, the travels in it.
+    """Joint paths of all beads with their trajectory, its verification report and its travels.
 
-    by: the strategy that found the paths; "refined" is added where a simpler one's were refined
+    by: the strategy that found the paths; "refined" is added if a simpler one's were refined
     """
 
     by: str
@@ -83,7 +83,7 @@ class PlannedPaths:
 
     @property
     def time(self) -> float:
-        """Time of the whole print [s], but for rests that any joint paths have."""
+        """Time of the whole print [s], without the rests that all joint paths share."""
         waits = sum(event.duration for event in self.trajectory.events if event.kind in WAITS)
         return self.report.metrics["print_time_s"] - waits
 
@@ -94,15 +94,17 @@ PlanPaths = Callable[[str, Sequence[JointPath]], PlannedPaths]
 def best_of_all(
     given: PlanningContext, own: PlannedPaths | None, waypoints: int, plan_paths: PlanPaths
 ) -> PlannedPaths | None:
-    """The default's own plan (None where it was refused), or a simpler strategy's that is better. None where none is
-    verified and there is no own one."""
+    """The default's own plan (None if it was refused), or a better one of a simpler strategy.
+
+    None if no plan is verified and there is no own one.
+    """
     taken = own is not None and own.verified and given.draft
     if own is not None and (taken or not _leaves_to_be_desired(own, waypoints, len(given.tasks))):
         return own
     verified = [own] if own is not None and own.verified else []
 
     def plan(name: str, paths: Sequence[JointPath]) -> None:
-        with suppress(Refusal):  # of a travel that has no way
+        with suppress(Refusal):  # if a travel has no way
             planned = plan_paths(name, paths)
             if planned.verified:
                 verified.append(planned)
@@ -116,7 +118,7 @@ def best_of_all(
 
 
 def _refined_with_held_ends(given: PlanningContext) -> Sequence[JointPath]:
-    """The ladder's paths refined, and the ends of beads hardly moved: what travel takes stays."""
+    """The ladder's paths refined with the ends of beads hardly moved, so that travel takes as long as before."""
     settings = given.problem.resolve
     weights = settings.weights.model_copy(update={"travel": HOLDS * settings.weights.travel})
     return refine_paths(
@@ -135,7 +137,7 @@ def _leaves_to_be_desired(own: PlannedPaths, waypoints: int, beads: int) -> bool
 
 
 def _too_slow_for_its_window(report: Report) -> bool:
-    """Whether all that fails is the greatest interlayer time, and would if the speed never dipped: no other joint paths help."""
+    """Whether only the greatest interlayer time fails, and would even without any dips: other paths do not help."""
     failing = [check for check in report.checks if not check.ok]
     if [check.name for check in failing] != [OLDEST]:
         return False
@@ -150,8 +152,11 @@ def _travel_share(own: PlannedPaths) -> float:
 def _simpler_paths(
     given: PlanningContext, own: PlannedPaths | None, waypoints: int
 ) -> Iterator[tuple[str, Sequence[JointPath]]]:
-    """Paths of the simpler strategies, refined and as they are, less those that keep to no cones or promise nothing. Where the
-    own plan failed and the nozzle may lean, first those of a search that does not count on that."""
+    """Paths of the simpler strategies, refined and as they are, except those that leave their cones or promise nothing.
+
+    If the default's own plan failed and the nozzle may lean, paths of a search that does not rely on leaning come
+    first.
+    """
     cell, settings, obstacles = given.cell, given.problem.resolve, given.obstacles
 
     def prices_of(paths: Sequence[JointPath]) -> list[Priced]:
@@ -164,7 +169,7 @@ def _simpler_paths(
             yield CLEAR, clear
             yield f"{CLEAR}, refined", refine_paths(cell, clear, settings, obstacles, given.terms)
 
-    names: tuple[str, ...] = SIMPLER if given.start else SIMPLER[1:]  # what the ladder has refused it refuses again
+    names: tuple[str, ...] = SIMPLER if given.start else SIMPLER[1:]  # the ladder would refuse again
     most, worth_refining = np.inf, np.inf
     if own is not None and own.verified:
         covered = (waypoints > SMALL and len(cell.chosen) < 2) or (
@@ -186,7 +191,7 @@ def _simpler_paths(
             paths = given.start if name == SIMPLER[0] else STRATEGIES[name](cell, given.tasks, settings, obstacles)
         except Refusal:
             continue
-        # the default's own plan is what became of the ladder's paths
+        # the ladder's paths, refined, are the default's own plan
         if name != SIMPLER[0] and within(paths, FAR_BEYOND, worth_refining):
             try:
                 refined: Sequence[JointPath] = refine_paths(cell, paths, settings, obstacles, given.terms)
@@ -204,8 +209,11 @@ def _soonest(plans: Sequence[PlannedPaths]) -> float:
 
 
 def _best(plans: Sequence[PlannedPaths]) -> PlannedPaths:
-    """Of verified plans the one that costs least, among those that are about as good as any of them both at speed and in
-    time, where there are such; the first, the default's own if it is there, if it costs about as little."""
+    """The verified plan that costs least; the first one if it costs about as little.
+
+    The first is the default's own if that is verified. If some plans are about as good as any in both speed and time,
+    only these are compared.
+    """
     most, soonest = max(plan.at_speed for plan in plans), _soonest(plans)
     as_good = [plan for plan in plans if plan.at_speed >= most - AS_GOOD_SPEED and plan.time <= AS_GOOD_TIME * soonest]
 

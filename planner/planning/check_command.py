@@ -1,4 +1,4 @@
-"""Read a problem and all that it names, without planning it: what it says, and what is wrong with it.
+"""Read a problem and everything it names, without planning it: report what it says, and what is wrong with it.
 
 python -m planner.check cylinder_logo.yaml
 """
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from planner.toolpath.bead import Toolpath
     from planner.toolpath.workload import Workload
 
-# Numba, Pinocchio and what reads files take most of a second to be imported: only once the problem itself is right.
+# Numba, Pinocchio and file readers take most of a second to import, so they are imported only once the problem itself
+# is right.
 
 
 QUICK_WAYPOINTS = 50_000  # of a layer: rounded in some 3 s
@@ -35,10 +36,10 @@ QUICK_BYTES = 20_000_000  # of G-code and waypoints: read in some 4 s
 
 @dataclass(frozen=True)
 class Examination:
-    """What was found: the cell and the toolpath, as far as they could be made, and all mistakes.
+    """What was found: the cell and the toolpath, if they could be made, and all mistakes.
 
-    first_layer  the toolpath is that of the first layer alone
-    work         what there is to plan in all layers, as far as that is known
+    first_layer  whether the toolpath is that of the first layer alone
+    work         what there is to plan in all layers, if that is known
     """
 
     cell: Cell | None
@@ -49,21 +50,21 @@ class Examination:
 
 
 def examine(problem: Problem, whole: bool = False) -> Examination:
-    """Read every file that a problem names, and make its cell and, where that is quick or `whole` asks for it, its toolpath.
+    """Read every file that a problem names, and make its cell and, if that is quick or `whole` is set, its toolpath.
 
-    Quick are curves and files of points; of those in layers the first one is made. Each of these is looked at
-    even where another one has a mistake.
+    Curves and files of points are quick; of several layers only the first one is made. Each file is checked even if
+    another one has a mistake.
     """
     mistakes: list[InputError] = []
     cell = _tried(mistakes, lambda: _cell(problem))
     if cell is not None:
         _tried(mistakes, lambda: _check_cell(problem, cell))
-    elif problem.cell.positioner is not None:  # what is wrong with the arm is told first
+    elif problem.cell.positioner is not None:  # mistakes in the arm are reported first
         robot = problem.cell.positioner.robot
         _tried(mistakes, lambda: _robot(problem, "cell.positioner.robot", robot))
     _tried(mistakes, lambda: _check_arrangement(problem))
     quick = is_quick(problem)
-    count = getattr(problem.layers, "count", 1)  # None: all that a file has
+    count = getattr(problem.layers, "count", 1)  # None: all layers of a file
     first = quick and not whole and (count is None or count > 1)
     toolpath, work = None, None
     if quick and not whole:
@@ -87,7 +88,7 @@ def examine(problem: Problem, whole: bool = False) -> Examination:
 
 
 def is_quick(problem: Problem) -> bool:
-    """Whether one layer of a problem's toolpath is made in a fraction of a second."""
+    """Whether one layer of a problem's toolpath can be made in a fraction of a second."""
     layers, body = problem.layers, None if problem.part is None else problem.part.body
     if isinstance(layers, WaypointLayersSpec):
         given = layers.source.waypoints
@@ -100,7 +101,7 @@ def is_quick(problem: Problem) -> bool:
 
 
 def _bytes(path: Path) -> int:
-    """The size of a file; 0 where it is not there, which is told by who reads it."""
+    """The size of a file; 0 if it is missing, which its reader reports."""
     try:
         return path.stat().st_size
     except OSError:
@@ -108,14 +109,14 @@ def _bytes(path: Path) -> int:
 
 
 def one_layer(problem: Problem) -> Problem:
-    """The problem with its first layer alone, and nothing that is of others."""
+    """The problem with its first layer alone, and without settings that concern others."""
     process = problem.process.model_copy(update={"speeds": (), "layer_time": None, "pauses": (), "order": ()})
     layers = problem.layers.model_copy(update={"count": 1})
     return problem.model_copy(update={"layers": layers, "process": process, "as_printed": None, "as_run": None})
 
 
 def _tried(mistakes: list[InputError], make: Callable[[], Any]) -> Any:
-    """What is made; None, with the mistake noted, where that cannot be."""
+    """The result of `make`; None, with the mistake noted, if it fails."""
     try:
         return make()
     except InputError as error:
@@ -155,13 +156,13 @@ def _toolpath(problem: Problem) -> Toolpath:
     from planner.toolpath.task import tasks_of
 
     toolpath = build_toolpath(problem)
-    if problem.process.fibre is not None:  # which asks for beads of some length
+    if problem.process.fibre is not None:  # which requires beads of some length
         tasks_of(problem, toolpath)
     return toolpath
 
 
 def _check_corrections(problem: Problem, toolpath: Toolpath) -> None:
-    if problem.as_run is not None and not problem.process.split_beads:  # whose pieces are known once they are planned
+    if problem.as_run is not None and not problem.process.split_beads:  # pieces are known only once they are planned
         from planner.motion.as_run import corrections_of
 
         corrections_of(problem, toolpath)
@@ -188,7 +189,7 @@ def _check_cones(problem: Problem, cell: Cell, toolpath: Toolpath) -> None:
 
 
 def _read(problem: Problem, field: str, path: Path) -> None:
-    """Read one file that a problem names, but for its cell. Raises InputError where it cannot be read."""
+    """Read one file that a problem names outside its cell. Raises InputError if it cannot be read."""
     where: Complaint = partial(problem.error, field)
     if field.endswith((".waypoints", ".gcode")):
         return  # too large to be read here
@@ -235,19 +236,19 @@ def check_command() -> Command:
     """The parser of `python -m planner.check`."""
     parser = Command(
         "check",
-        "Read a problem file and all files that it names, without planning anything: tell what it says, and what is "
+        "Read a problem file and all files that it names, without planning anything: report what it says, and what is "
         "wrong with it.",
         {
             "cylinder_logo": "what a problem says: cell, part, layers, length, time",
-            "my_part.yaml": "whether a problem of your own can be read; every mistake that can be told",
+            "my_part.yaml": "whether a problem of your own can be read; lists every mistake found",
             "my_part.yaml --set process.speed_mm_s=30": "with fields changed",
-            "my_part.yaml --toolpath": "lay all beads, too: of meshes, wings and faces that takes seconds",
+            "my_part.yaml --toolpath": "lay all beads too, which takes seconds for meshes, wings and faces",
         },
-        {0: "it can be read; whether it can be printed, planner.solve finds out", 2: "wrong input", 130: "interrupted"},
+        {0: "it can be read; planner.solve finds out whether it can be printed", 2: "wrong input", 130: "interrupted"},
     )
     add_problem(parser)
     add_set(parser)
-    parser.add_argument("--toolpath", action="store_true", help="lay the beads of all layers, whatever that takes")
+    parser.add_argument("--toolpath", action="store_true", help="lay the beads of all layers, however long that takes")
     return parser
 
 
@@ -276,7 +277,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _expected(problem: Problem, found: Examination) -> str | None:
-    """What there is to plan and what that takes, in words."""
+    """What there is to plan, and the time and memory that planning takes, in words."""
     work, toolpath = found.work, None if found.first_layer else found.toolpath
     if work is None:
         return None
@@ -290,7 +291,7 @@ def _expected(problem: Problem, found: Examination) -> str | None:
     else:
         speed, resting = mean_speed(process, toolpath), resting_time(process, toolpath)
     size = f"{work.waypoints:,} waypoint{'' if work.waypoints == 1 else 's'}"
-    return f"{size} in all; to plan them takes {estimate(work, speed, DEFAULT_DT, resting).words}"
+    return f"{size} in all; planning them takes {estimate(work, speed, DEFAULT_DT, resting).words}"
 
 
 def _told(mistakes: Sequence[InputError]) -> int:

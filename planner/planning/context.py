@@ -1,4 +1,4 @@
-"""What every strategy plans with, and how another process comes by the same: by reading the files itself."""
+"""What every strategy plans with, and how another process gets the same: by reading the files itself."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from planner.toolpath.task import NozzleTask, tasks_of
 class PlanningContext:
     """What every strategy plans with, and is verified with.
 
-    tasks       of all beads but those that a scan found printed; of these only those from `first_bead` on are laid
-    terms       a user's own, of the refinement's price
-    leans       the nozzle leans in the tasks, as `leaning` has it
-    draft       a plan that is verified is taken as it is, whatever other strategies would make of it
-    start       the ladder's paths of all tasks, where a search of just this print has found them already
+    tasks       of all beads except those that a scan found printed; only those from `first_bead` on are laid
+    terms       a user's own terms of the refinement's cost
+    leans       whether the nozzle leans in the tasks, see `leaning`
+    draft       a verified plan is taken as it is, even if another strategy's might be better
+    start       the ladder's paths of all tasks, if a search of exactly this print has found them already
     """
 
     problem: Problem
@@ -50,7 +50,7 @@ class PlanningContext:
 
     @property
     def printed(self) -> int:
-        """How many beads a scan found printed, which have no tasks."""
+        """Number of beads that a scan found printed; they have no tasks."""
         return len(self.toolpath.beads) - len(self.tasks)
 
     @property
@@ -59,21 +59,21 @@ class PlanningContext:
         return slice(self.first_bead - self.printed, None)
 
     def along(self, toolpath: Toolpath) -> PlanningContext:
-        """The same print with other beads, runs or samples, its nozzle on the surface; raises InputError as `context_of`."""
+        """The same print with other beads, runs or samples, nozzle on the surface normal. Raises like `context_of`."""
         return replace(context_of(self.problem, self.cell, toolpath, self.first_bead, self.terms), draft=self.draft)
 
 
 def context_of(
     problem: Problem, cell: Cell, toolpath: Toolpath, first_bead: int = 0, terms: tuple[Term, ...] = ()
 ) -> PlanningContext:
-    """Raises InputError for a bead that is too short for the problem's fibre."""
+    """The context of a problem's print. Raises InputError for a bead that is too short for the problem's fibre."""
     body, printed = print_body(toolpath, standing(cell)), printed_beads(problem, toolpath)
     tasks, obstacles = tasks_of(problem, toolpath)[printed:], obstacles_of(problem, cell, toolpath, body)
     return PlanningContext(problem, cell, toolpath, tasks, body, obstacles, max(first_bead, printed), terms)
 
 
 def with_way(given: PlanningContext, stages: Stages) -> PlanningContext:
-    """The same with the way that the ladder finds, unless it is known. Raises Refusal where there is none."""
+    """The same with the way that the ladder finds, unless it is known. Raises Refusal if there is none."""
     if given.start:
         return given
     with stages.stage("resolve"):
@@ -82,8 +82,10 @@ def with_way(given: PlanningContext, stages: Stages) -> PlanningContext:
 
 @lru_cache(maxsize=1)
 def context_elsewhere(name: str, overrides: tuple[str, ...], digest: str) -> PlanningContext:
-    """The same in another process: of the problem that `found_anywhere` names. Raises InputError where it is another
-    one there, as `digest_of` tells."""
+    """The same in another process, for the problem that `found_anywhere` names.
+
+    Raises InputError if it is a different one there, according to `digest_of`.
+    """
     problem = load_problem(name, overrides)
     given = context_of(problem, build_cell(problem), build_toolpath(problem))
     check_same(problem, digest_of(problem, given.cell, given.toolpath, given.tasks), digest)
@@ -91,14 +93,16 @@ def context_elsewhere(name: str, overrides: tuple[str, ...], digest: str) -> Pla
 
 
 def found_anywhere(problem: Problem) -> str:
-    """How another process names a problem: as it ships, or by its file's path from the root, links as they are: what it names
-    is found from the folder of the link."""
+    """A problem's name in another process: its shipped name, or the absolute path of its file.
+
+    Links are not resolved: files that the problem names are found from the folder of the link.
+    """
     file = Path(os.path.abspath(problem.file))
     return file.stem if file.parent == PROBLEMS else str(file)
 
 
 def digest_of(problem: Problem, cell: Cell, toolpath: Toolpath, tasks: Sequence[NozzleTask]) -> str:
-    """Of all that searches, refinement and scores depend on: where two differ, so do the problems, or what they name."""
+    """Digest of all that searches, refinement and scores depend on: it differs if the problem or its files do."""
     bodies = cell.head, cell.nozzles, cell.fixtures, cell.carried
     robots = cell.arm, cell.holder, cell.limits, cell.home, bodies
     printed = toolpath.beads, toolpath.shape, toolpath.solid
@@ -107,13 +111,13 @@ def digest_of(problem: Problem, cell: Cell, toolpath: Toolpath, tasks: Sequence[
 
 
 def check_same(problem: Problem, here: str, there: str) -> None:
-    """Raise InputError where the digests of a problem in two processes differ."""
+    """Raise InputError if the digests of a problem in two processes differ."""
     if here != there:
         hint = "put them in a folder that all machines share"
-        raise InputError("is not the same for a worker, or a file that it names", file=problem.file, hint=hint)
+        raise InputError("differs on a worker, or a file that it names does", file=problem.file, hint=hint)
 
 
 def check_unchanged(problem: Problem, now: Problem) -> None:
-    """Raise InputError where a problem is another one `now` that it is read again: what was found is not of that."""
+    """Raise InputError if a problem, read again, differs from what it was: results found so far do not belong to it."""
     if seal.digest_of(problem) != seal.digest_of(now):
-        raise InputError("was changed meanwhile", file=problem.file, hint="begin again")
+        raise InputError("was changed in the meantime", file=problem.file, hint="start again")

@@ -1,7 +1,8 @@
-"""A large print refined in other processes: beads that lie on each other are a chain, and chains know nothing of others.
+"""A large print refined in other processes: beads that lie on each other form a chain, and chains are independent.
 
-Each bead starts from the refined one below it, so the layers of a chain are refined in turn; but what is beside it does
-not count, once the ladder has chosen for all beads. Pieces of work are whole chains, a few short ones together.
+Each bead starts from the refined one below it, so the layers of a chain are refined in order; its neighbours in the
+layer do not matter, once the ladder has chosen for all beads. Pieces of work are whole chains, or a few short ones
+together.
 """
 
 from __future__ import annotations
@@ -19,14 +20,15 @@ from planner.resolve.sqp import Priced, given_prices, refine_beads, refine_paths
 from planner.resolve.terms import model_of, terms_of
 
 Joints = tuple[Array, Array, Array, int]  # roll, tilt, joints and branch of a JointPath
-# name and overrides of the problem, its digest, prices of a piece's beads, what they must keep; beads by their index
+# name and overrides of the problem, its digest; prices of a piece's beads, the floor of sigma they must keep; their
+# indices
 WorkPiece = tuple[tuple[str, tuple[str, ...], str], list[Priced | None], float, list[int], list[Joints]]
 
-LEAST = 4000  # samples of a piece: less takes longer to send than to refine
+LEAST = 4000  # samples of a piece: fewer take longer to send than to refine
 
 
 def sqp_over(over: Spread, given: PlanningContext) -> tuple[JointPath, ...]:
-    """The joint paths of strategy `sqp`, bit for bit, refined where `over` spreads them. Raises Refusal as `sqp` does."""
+    """The joint paths of strategy `sqp`, bit for bit, refined in the processes of `over`. Raises Refusal like `sqp`."""
     problem, cell, settings = given.problem, given.cell, given.problem.resolve
     paths = given.start or ladder(cell, given.tasks, settings, given.obstacles)
     if cell.nozzles:  # a worker's model is that of one nozzle
@@ -48,7 +50,7 @@ def sqp_over(over: Spread, given: PlanningContext) -> tuple[JointPath, ...]:
 
 
 def pieces_of(paths: Sequence[JointPath]) -> list[list[int]]:
-    """Indices of the beads of each piece, in their order: chains, the long ones first, several short ones together."""
+    """Indices of the beads of each piece, in order: chains, the long ones first, several short ones together."""
     chains = stacks_of([path.task for path in paths])
     size = [sum(len(paths[i].task) for i in chain) for chain in chains]
     pieces: list[list[int]] = []
@@ -63,7 +65,7 @@ def pieces_of(paths: Sequence[JointPath]) -> list[list[int]]:
 
 
 def _refined(piece: WorkPiece) -> list[Joints]:
-    """On a worker: the beads of a piece, refined."""
+    """Refine the beads of a piece; runs on a worker."""
     where, prices, floor, beads, joints = piece
     given = context_elsewhere(*where)
     paths = [JointPath(given.tasks[i], *each) for i, each in zip(beads, joints, strict=True)]

@@ -1,4 +1,4 @@
-"""A plan's files, of the plan as it is when they are written."""
+"""A plan's files, which reflect the plan as it is when they are written."""
 
 from __future__ import annotations
 
@@ -30,18 +30,28 @@ from planner.verify.as_run import as_run
 from planner.verify.drawing import cell_view
 from planner.verify.verdict import verify
 
-RESULTS_BY = "solve"  # whose files they are, in manifests
+RESULTS_BY = "solve"  # the files' owner, in manifests
 REPEATED = "programs repeat the plan"  # the check of a plan with a program that, read back, does not
-AS_PLANNED = "as it was planned"  # the check of a plan whose inputs were changed since
-BOUNDS = ("bound_deposition_time_s", "bound_any_path_s", "bound_gap_fraction")  # that planning finds of its own motion
+AS_PLANNED = "as it was planned"  # the check of a plan whose inputs have changed since
+BOUNDS = ("bound_deposition_time_s", "bound_any_path_s", "bound_gap_fraction")  # metrics that planning alone computes
 
 
 def write(plan: Plan, folder: str | Path) -> Plan:
-    """Write a plan's files into a folder, as the command does, in place of an earlier plan's: all or none of them.
+    """Write a plan's files into a folder, as the command does, replacing those of an earlier plan: all or none of them.
 
-    plan.json, trajectory.csv, report.html and report_part.stl of any plan, robot code only of a verified one. A plan
-    that was changed since it was verified is verified anew: what is written is judged as it is.
-    Returns the plan with the times that this took. Raises OutputError where the folder cannot be written.
+    These are plan.json, trajectory.csv, report.html and report_part.stl for any plan, and robot code only for a
+    verified one. A plan that was changed since it was verified is verified again: what is written is judged as it is.
+
+    Args:
+        plan: The plan, as `solve` returns it.
+        folder: Where the files go.
+
+    Returns:
+        The plan with the times that this took.
+
+    Raises:
+        InputError: If arrays of the plan's motion have changed their type or columns.
+        OutputError: If the folder cannot be written.
     """
     as_one_of(plan, Plan, "plan", "what solve gives")
     with results_folder(as_path(folder, "folder"), RESULTS_BY) as fresh:
@@ -51,8 +61,8 @@ def write(plan: Plan, folder: str | Path) -> Plan:
 def write_files(plan: Plan, folder: Path, stages: Stages | None = None, second_process: bool = False) -> Plan:
     """Write a plan's files into a folder, robot code only if the plan is verified; returns it with all timings.
 
-    Robot code, which is read back and compared, takes as long as all else: a second process may write it meanwhile.
-    If a program differs from the plan, none is written, and a check of its own fails.
+    Robot code, which is read back and compared, takes as long as everything else: a second process may write it
+    meanwhile. If a program differs from the plan, none is written, and a separate check fails.
     """
     stages = stages or Stages()
     with given_back(plan.toolpath.waypoints >= WORTH_HALVES):
@@ -71,7 +81,7 @@ def write_files(plan: Plan, folder: Path, stages: Stages | None = None, second_p
 
 
 def _write_all(plan: Plan, folder: Path, second_process: bool) -> None:
-    """Write tables and report, and of a verified plan the programs. Raises ProgramDiffers before any of these is written."""
+    """Write tables and report, and for a verified plan the programs. Raises ProgramDiffers before writing one."""
     if not plan.verified:
         _write_tables(plan, folder, tuple)
     elif second_process and plan.toolpath.waypoints >= WORTH_A_FORK and spare_core():
@@ -82,11 +92,11 @@ def _write_all(plan: Plan, folder: Path, second_process: bool) -> None:
 
 
 def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
-    """The plan with the verdict on what it holds now: its own if nothing was changed since, or one of a new verification.
+    """The plan with a verdict on its present contents: its own if nothing has changed since, else a new verification's.
 
-    What was verified against (problem, cell, toolpath) must be what was planned for: a check of its own fails otherwise,
-    and so does that on a tolerance, which only `solve` can judge.
-    Raises InputError for a motion whose arrays are of another type than they were.
+    A separate check fails if problem, cell or toolpath are no longer those that were planned for, or if anything has
+    changed in a plan with a tolerance, which only `solve` can judge. Raises InputError for a motion with an array whose
+    type or number of columns has changed.
     """
     changed = changed_since(plan)
     if not changed:
@@ -115,17 +125,19 @@ def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
 
 
 def _check_arrays(plan: Plan) -> None:
-    """Raise InputError for an array of a motion that has another type or other columns than it had: with `deposit` as 0 and 1,
-    the rows that it picks would be the first two."""
+    """Raise InputError for an array of a motion whose type or number of columns has changed.
+
+    With `deposit` as 0 and 1, for example, it would select the first two rows.
+    """
     for name, motion in (("trajectory", plan.trajectory), ("asked", plan.asked)):
         if motion is not None and (odd := motion.odd_array(len(plan.joint_names))):
             value = getattr(motion, odd)
             what = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else kind_of(value)
-            raise InputError(f"is {what}", field=f"{name}.{odd}", hint="the type and columns that it had")
+            raise InputError(f"is {what}", field=f"{name}.{odd}", hint="keep its type and columns")
 
 
 def _written(programs: Callable[[], object], folder: Path) -> tuple[str, ...]:
-    """What controllers will make of programs, once these are written."""
+    """Write the programs; returns, in words, what controllers will make of them."""
     programs()
     return forecast_words(folder)
 

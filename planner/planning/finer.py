@@ -1,4 +1,4 @@
-"""Whether a plan that leaves its path between samples is worth planning again with more of them, and where."""
+"""Whether a plan that leaves its path between samples is worth planning again with more samples, and where."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from planner.toolpath.finer import sampled_finer
 from planner.verify.verdict import ON_PATH, Report
 
 ROUNDS = 3  # of sampling finer and planning again
-_NEAR = 0.7  # share of a tolerance from which on a place is sampled finer, in the beads that exceed it
-_MOST = 400.0  # tolerances: what is off by more is off at the samples, too; 90 were, where normals turn by 17 deg between two
-_BETTER = 0.7  # times as far off the worst bead must be, or as many be off, as on fewer samples, for still more of them
+_NEAR = 0.7  # share of a tolerance above which a place is sampled more finely, in the beads that exceed the tolerance
+_MOST = 400.0  # tolerances: anything farther off is off at samples, too; 90 occurred with 17 deg between two normals
+_BETTER = 0.7  # × the worst error, or the number of beads off, on fewer samples: either must fall to this to go on
 
 
 def worst_off(trajectory: Trajectory, report: Report) -> Array:
-    """How far a plan is off its path or the normal in each bead (n), in tolerances; n: up to the last bead that is."""
+    """How far a plan is off its path or the normal in each bead (n), in tolerances; n: up to the last bead laid."""
     off = np.zeros(int(trajectory.bead.max(initial=-1)) + 1)
     printed = trajectory.bead >= 0
     np.maximum.at(off, trajectory.bead[printed], report.series["off_the_path"][printed])
@@ -29,8 +29,8 @@ def with_finer_samples(
 ) -> PlanningContext | None:
     """The same print with more samples where a plan of it is off the path or the normal.
 
-    None if any other check fails too, or if more samples would not help: a bead is far off, or hardly fewer beads are, and
-    hardly less so, than on fewer samples (`before` (beads), in tolerances).
+    None if any other check fails too, or if more samples would not help: if a bead is far off, or if hardly fewer beads
+    are off, and by hardly less, than on fewer samples (`before` (beads), in tolerances).
     """
     failed = {check.name for check in report.checks if not check.ok}
     if not failed or not failed <= ON_PATH:

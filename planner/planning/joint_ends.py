@@ -1,6 +1,6 @@
-"""Search again with a smaller margin to the joint limits where no path keeps the usual one.
+"""Search again with a smaller margin to the joint limits if no path keeps the usual one.
 
-What is found so is refined, timed and verified with the joints' true ranges, as everything is.
+The result is refined, timed and verified with the joints' true ranges, like any other.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from planner.resolve.joint_path import JointPath
 
 
 def nearer_to_ends(given: PlanningContext, refusal: Refusal, stages: Stages) -> PlanningContext | None:
-    """The same print, searched nearer to joints' ends, if a search finds a way there; with short runs where that needs them.
-    None where the refusal is not for the room that is kept to them.
+    """The same print, searched closer to the joint limits, if a search finds a way there.
 
-    Raises the Refusal that says why there is no way so near either.
+    With short runs if it needs them. None if the refusal is not due to the margin kept from the limits. Raises the
+    Refusal that says why there is no way with a smaller margin either.
     """
     if not refusal.near_ends:
         return None
@@ -39,18 +39,18 @@ def nearer_to_ends(given: PlanningContext, refusal: Refusal, stages: Stages) -> 
 
 
 def noted(given: PlanningContext, paths: Sequence[JointPath], refusal: Refusal) -> PlanningContext:
-    """The same print with a note of how near its paths come to which ends; refusal: of the print with the usual room."""
+    """The same print with a note of how close its paths come to which limits; refusal: that with the usual margin."""
     usual = f"{np.degrees(LIMIT_ROOM):.0f} deg" + (f" or {LIMIT_ROOM * 1e3:g} mm" if given.cell.limits.sliding else "")
     note = (
-        f"no way keeps {usual} from the ends of joints' ranges: {refusal}; {', '.join(_nearest(given.cell, paths))}; "
-        "verified by the ranges themselves"
+        f"no plan keeps joints {usual} from the ends of their ranges: {refusal}; {', '.join(_nearest(given.cell, paths))}; "
+        "verified against the ranges themselves"
     )
     toolpath = given.toolpath
     return replace(given, toolpath=replace(toolpath, notes=(*toolpath.notes, note)))
 
 
 def _nearest(cell: Cell, paths: Sequence[JointPath]) -> list[str]:
-    """Of each joint that comes nearer to an end of its range than usual the nearest place; of the nearest joint in any case."""
+    """In words, where each joint closer to its limits than usual comes closest; always of the closest joint, too."""
     limits = cell.limits
     rooms = [np.minimum(path.q - limits.q_min, limits.q_max - path.q) for path in paths]
     least = np.stack([room.min(axis=0) for room in rooms])  # (paths, joints)

@@ -1,9 +1,9 @@
-"""A nozzle that leans where an upright one has no way: the search's own reference leaned, place by place, within its cone.
+"""A nozzle that leans where an upright one has no way: the search's reference leans, place by place, within its cone.
 
-A search keeps the nozzle on the surface, and the refinement leans it where that costs less. Where no upright nozzle has a
-way there is nothing to refine. Here leans are searched first, for each branch of the arm, as if every roll led to every
-other; the path is then searched about the best of them. What is found so is refined, timed and verified with the surface's
-true normals, as everything is.
+A search keeps the nozzle on the surface normal, and the refinement leans it where that costs less. If an upright nozzle
+has no way, there is nothing to refine. Here leans are searched first, for each branch of the arm, as if every roll led
+to every other; the path is then searched around the best of them. The result is refined, timed and verified with the
+surface's true normals, like any other.
 """
 
 from __future__ import annotations
@@ -28,31 +28,32 @@ from planner.resolve.ladder import MOST_NODES, binds_table, coarse_grid
 from planner.resolve.nodes import evaluate
 from planner.toolpath.task import NozzleTask, roll_zeros
 
-MOST_WAYPOINTS = 10_000  # of a print, all of whose leans are searched in some ten seconds
-SHARE = 0.9  # of the cone that leans use: the rest is the refinement's room
-_LEAST = np.radians(0.5)  # of a lean that is worth a search
+MOST_WAYPOINTS = 10_000  # of a print: all of its leans are searched in some ten seconds
+SHARE = 0.9  # share of the cone that leans use: the rest is left to the refinement
+_LEAST = np.radians(0.5)  # least lean that is worth a search
 _RINGS, _AZIMUTHS = (0.5, 1.0), 8  # leans that are tried, in shares of the greatest, and directions of each
-# In the unit of a node's price, the share of time lost: a lean from none to the greatest between two rungs, squared, and as
-# much as keeps the nozzle upright where that serves as well.
+# In the unit of a node's price, the share of time lost: price of a change from no lean to the greatest between two
+# rungs (it grows with the square), and of the greatest lean itself, enough to keep the nozzle upright where that serves
+# as well.
 _CHANGE, _LEANING = 0.5, 0.02
 
 
 def leaning(given: PlanningContext, refusal: Refusal, stages: Stages) -> PlanningContext | None:
-    """The same print, searched about a nozzle that leans within its cone, if a search finds a way then; a note tells.
+    """The same print, searched around a nozzle that leans within its cone, if that finds a way; a note says so.
 
-    None where the nozzle may not lean, where cones about the vertical say how it does, and where the print is large.
-    refusal: of the print with the nozzle on the surface
+    None if the nozzle may not lean, if cones about the vertical determine how it does, or if the print is large.
+    refusal: that of the print with the nozzle on the surface normal
     """
     toolpath, cones = given.toolpath, given.tasks[0].cones
     large = toolpath.waypoints > MOST_WAYPOINTS
     if cones.tilt == 0.0 or cones.nozzle_gravity < np.pi or binds_table(given.cell, cones) or large:
         return None
-    note = f"the nozzle leans within its cone, as an upright one has no way: {refusal}"
+    note = f"the nozzle leans within its cone, as there is no plan with it upright: {refusal}"
     return with_leans(replace(given, toolpath=replace(toolpath, notes=(*toolpath.notes, note))), stages)
 
 
 def with_leans(given: PlanningContext, stages: Stages) -> PlanningContext | None:
-    """The same print searched about a nozzle that leans within its cone; None if no search finds a way."""
+    """The same print, searched around a nozzle that leans within its cone; None if no search finds a way."""
     with stages.stage("resolve"):
         tilts = best_leans(given)
         if tilts is None:
@@ -64,8 +65,10 @@ def with_leans(given: PlanningContext, stages: Stages) -> PlanningContext | None
 
 
 def best_leans(given: PlanningContext) -> list[Array] | None:
-    """For each task tilts (n, 2) in its frames [rad] with which one branch at least has a posture at every rung, of those the
-    least dear, smooth along the task. None where there are none, or noise of the normals takes up the cone."""
+    """For each task the cheapest tilts (n, 2) in its frames [rad] with which some branch has a posture at every rung.
+
+    They are smooth along the task. None if there are none, or if noise of the normals uses up the cone.
+    """
     cell, tasks, settings = given.cell, given.tasks, given.problem.resolve
     off = max(float(angles_between(-task.frames[:, :, 2], task.normals).max()) for task in tasks)
     most = SHARE * tasks[0].cones.tilt - off
@@ -83,7 +86,7 @@ def best_leans(given: PlanningContext) -> list[Array] | None:
 def _least_dear(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles, tilts: Array, most: float
 ) -> list[Array | None]:
-    """For each task of one nozzle its tilts, see `best_leans`, or None; of some (k, 2) up to the greatest [rad]."""
+    """Tilts of each task of one nozzle, see `best_leans`, or None; chosen from tilts (k, 2), at most `most` [rad]."""
     demand, grid = coarse_grid(cell, tasks, settings, MOST_NODES)
     prices = []
     for tilt in tilts:
@@ -100,9 +103,10 @@ def _least_dear(
 
 
 def cheapest_leans(price: Array, tilts: Array) -> Ints | None:
-    """Which of some tilts (k, 2), in shares of the greatest, a bead has at each rung (n): of all branches the cheapest way.
+    """The cheapest way of any branch: indices (n) of a bead's tilts at each rung.
 
-    price (n, k, b) of a tilt at a rung on a branch, infinite where it has no posture. None where no branch has a way.
+    tilts (k, 2): in shares of the greatest; price (n, k, b): of a tilt at a rung on a branch, infinite without a
+    posture. None if no branch has a way.
     """
     change = _CHANGE * ((tilts[:, None] - tilts[None]) ** 2).sum(axis=2)
     own = price + _LEANING * np.linalg.norm(tilts, axis=1)[:, None]
@@ -122,7 +126,7 @@ def cheapest_leans(price: Array, tilts: Array) -> Ints | None:
 
 
 def leaned_tasks(tasks: Sequence[NozzleTask], tilts: Sequence[Array]) -> tuple[NozzleTask, ...]:
-    """Tasks whose frames lean by tilts (n, 2) [rad]; the true normals, on which cones are judged, stay."""
+    """Tasks whose frames lean by tilts (n, 2) [rad]; the true normals, by which cones are judged, stay the same."""
     axes = []
     for task, tilt in zip(tasks, tilts, strict=True):
         turn = Rotation.from_rotvec(np.column_stack([tilt, np.zeros(len(tilt))])).as_matrix()

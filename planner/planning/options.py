@@ -1,4 +1,4 @@
-"""Options that commands share which plan: the problem, its changes, strategy, processes; and all of `solve`'s."""
+"""Options shared by the commands that plan: the problem, its changes, strategy, processes; and all of `solve`'s."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from planner.plan.robustness import Tolerance
 
 DEFAULT_DT = 0.004
-MIN_DT, MAX_DT = 0.0005, 0.02  # s; finer drowns in rounding, coarser hides what a joint does
+MIN_DT, MAX_DT = 0.0005, 0.02  # s: finer samples drown in rounding, coarser ones hide what a joint does
 
 
 def add_problem(parser: argparse.ArgumentParser, optional: bool = False) -> None:
@@ -69,10 +69,10 @@ def solve_command() -> Command:
         "Plan a curved-layer print: from one YAML file to a verified robot program.",
         {
             "--list": "the problems that ship, and what each is",
-            "cylinder_logo": "plan one of them; results in out/cylinder_logo, first of all report.html",
+            "cylinder_logo": "plan one of them; results in out/cylinder_logo; start with report.html",
             "my_part.yaml --strategy ladder": "a problem of your own, with another strategy",
             "my_part.yaml --set process.speed_mm_s=30 --set layers.count=2": "with fields changed for this run",
-            "my_part.yaml --tolerance 2mm,1deg": "a plan that holds where the part stands a little elsewhere",
+            "my_part.yaml --tolerance 2mm,1deg": "a plan that also holds for a slightly displaced part",
             "my_part.yaml --from-bead 120": "the rest of an interrupted print",
         },
         {
@@ -95,7 +95,7 @@ def solve_command() -> Command:
         "--tolerance",
         type=_tolerance,
         metavar="SHIFT,TURN",
-        help="the plan must hold where the part stands elsewhere by as much as this, e.g. 2mm,1deg",
+        help="the plan must also hold for a part displaced by up to this much, e.g. 2mm,1deg",
     )
     parser.add_argument(
         "--from-bead",
@@ -109,12 +109,12 @@ def solve_command() -> Command:
         "--dt", type=_sample_time, default=DEFAULT_DT, metavar="S", help="seconds between samples (default 0.004)"
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
-    parser.add_argument("--list", action="store_true", help="tell which problems ship, one a line, and stop")
+    parser.add_argument("--list", action="store_true", help="list the shipped problems, one per line, and exit")
     return parser
 
 
 def options_of(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Parse the arguments, of the process if there are none; ends it with exit code 2 and a message if they are wrong."""
+    """Parse the arguments, or the process's own if None; exits with code 2 and a message if they are wrong."""
     parser = solve_command()
     options: argparse.Namespace = parser.parse_args(arguments)
     if options.problem is None and not options.list:

@@ -1,4 +1,4 @@
-"""Beads that cannot be followed in one go, in pieces: where the arm pauses is searched, and the rest is planned as ever."""
+"""Beads that cannot be followed in one go, in pieces: a search finds where to pause; the rest is planned as usual."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from planner.toolpath.split import split_toolpath
 from planner.toolpath.task import NozzleTask
 
 _BRANCH = "no branch leads on"
-_RUNS, _MOST_RUNS = 2.0, 0.5  # of the turning along a run that a joint may need; rad of it at most
-MORE_ROOM = (0.0, 0.3)  # rad, tried in turn: what a smooth path may wind further than the coarse search saw
+_RUNS, _MOST_RUNS = 2.0, 0.5  # × the turning along a run: room kept for a joint; rad of it at most
+MORE_ROOM = (0.0, 0.3)  # rad, tried in order: how much further a smooth path may wind than the coarse search saw
 
 
 def in_pieces(given: PlanningContext, more_room: float) -> PlanningContext | None:
-    """The same print with beads in pieces, as few as can be; None where none has to be cut, or where that does not help.
+    """The same print with beads in as few pieces as possible; None if none has to be cut, or if that does not help.
 
-    Beads that repeat in higher layers are cut where the lowest of them is. Joints that wind keep so much more room [rad]
+    Beads that repeat in higher layers are cut where the lowest of them is. Joints that wind keep `more_room` [rad] more
     from the ends of their ranges.
     """
     process = given.problem.process
@@ -40,9 +40,9 @@ def in_pieces(given: PlanningContext, more_room: float) -> PlanningContext | Non
 
 
 def _pauses(given: PlanningContext, task: NozzleTask, least: float, more_room: float) -> tuple[Pause, ...]:
-    """The fewest pauses with which the arm can follow a bead; none where they do not help.
+    """The fewest pauses with which the arm can follow a bead; none if they do not help.
 
-    Room is left for the runs that pieces have at their ends.
+    Room is left for the runs at the ends of pieces.
     """
     cell = given.cell.at(task.material)
     obstacles = given.obstacles.for_nozzle(given.cell, cell)
@@ -53,8 +53,10 @@ def _pauses(given: PlanningContext, task: NozzleTask, least: float, more_room: f
 
 
 def _places(task: NozzleTask, guide: NozzleTask, pauses: Sequence[Pause], backwards: bool) -> list[tuple[float, str]]:
-    """Arc lengths [m] along a task's bead at which it pauses, and why, where its guide, which it may run backwards, pauses
-    at these."""
+    """Arc lengths [m] along a task's bead at which it pauses, and why, derived from the pauses of its guide.
+
+    backwards: whether the bead runs in the opposite direction to its guide
+    """
     length, own = (each.s[each.last] - each.s[each.first] for each in (guide, task))
     shares = np.array([(pause.s - guide.s[guide.first]) / length for pause in pauses])
     words = [f"{pause.joint} would turn further than its range" if pause.joint else _BRANCH for pause in pauses]

@@ -1,4 +1,4 @@
-"""From a problem to a verified plan, and its files: the table of contents of all that is done."""
+"""From a problem to a verified plan, and its files: the table of contents of the whole process."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ from planner.verify.reread.faces import faces_ahead
 from planner.verify.verdict import Report, verify
 
 BASELINE = "as_published"
-# Beyond so many no other plan is made beside: beads, to time and to travel between which takes some 10 ms each; waypoints, of
-# which a second plan takes as much memory as the first, gigabytes.
+# No second plan is made for comparison beyond so many beads, each of which takes some 10 ms for timing and travel, or
+# so many waypoints, where the second plan takes as much memory as the first: gigabytes.
 MOST_COMPARED_BEADS, MOST_COMPARED = 5_000, 800_000
 
 
@@ -85,16 +85,24 @@ def load(
 ) -> Problem:
     """Read a problem file, or a shipped problem by its name, such as `load("cylinder_logo", {"layers.count": 1})`.
 
-    problem    a file, a shipped name, or a problem that was read, to be read again with further overrides
-    overrides  `dotted.key=value` as after `--set`, or dictionaries of dotted keys, in the file's units; what is set stands
-               in place of what the file has there. A text that is a path counts from the problem's folder, a `Path` from
-               the current one.
-    toolpath   waypoints of `Toolpath.from_arrays`, in place of the file's layers and part; keys of `layers.source` that
-               waypoints of a file have may be set besides
-    keywords   overrides with `__` for a dot: `load("cylinder_logo", layers__count=1)`
+    All changes are applied before anything is checked. Files that the problem names (a drawing, a mesh) are not opened
+    yet.
 
-    All are applied before anything is checked. Raises InputError for whatever is wrong, with its file, line and field, or
-    the argument that it came from. What the problem names (a drawing, a mesh) is not opened yet.
+    Args:
+        problem: A problem file, the name of a shipped problem, or a problem that was read, to be read again with
+            further overrides.
+        *overrides: `dotted.key=value` as after `--set`, or dictionaries of dotted keys, in the file's units; they
+            replace what the file has there. A path given as text is relative to the problem's folder, a `Path` to the
+            current one.
+        toolpath: Waypoints of `Toolpath.from_arrays`, in place of the file's layers and part; keys of `layers.source`
+            that apply to waypoints of a file may be set in addition.
+        **keywords: Overrides with `__` for a dot, such as `load("cylinder_logo", layers__count=1)`.
+
+    Returns:
+        The problem, checked.
+
+    Raises:
+        InputError: For whatever is wrong, with its file, line and field, or the argument that it came from.
     """
     changes = overrides_of(overrides, keywords)
     if toolpath is not None:
@@ -119,20 +127,29 @@ def solve(
 ) -> Plan:
     """Plan a problem, or what `load` takes, and verify the plan.
 
-    strategy        one of `STRATEGIES`; the problem's own, if none is given
-    dt              time between samples [s]
-    tolerance       such as "2mm,1deg": the plan is judged for parts too that stand elsewhere by as much
-    first_bead      if not 0 the rest of an interrupted print is planned: the same joint paths as of the whole one,
-                    what lies before is there already
-    second_process  the same comes sooner, where the print is large
-    stages          shows and times the stages
-    baseline        whether the baseline strategy is planned as well; its metrics are in `Plan.baseline`
-    draft           for whoever waits: the first plan that is verified is taken as it is, without a baseline and advice
-    over            what spreads the beads that strategy sqp refines over processes or machines (`planner.base.distribution.crew`)
-    terms           terms of your own that the refinement of strategy sqp weighs against the others, see `OwnTerm`
+    Nothing is written: see `write`.
 
-    The plan that comes back may have failed checks: see `Plan.verified`. Nothing is written: see `write`.
-    Raises InputError for wrong input and for what needs more memory than there is, Refusal where there is no plan at all.
+    Args:
+        problem: A `Problem`, a problem file, or the name of a shipped problem.
+        strategy: One of `STRATEGIES`; by default, the problem's own.
+        dt: Time between samples [s], 0.0005 to 0.02.
+        stages: Shows and times the stages.
+        second_process: Whether to use a second process, which gives the same result sooner for large prints.
+        tolerance: Such as "2mm,1deg": the plan is also judged for parts displaced by up to that much.
+        first_bead: If not 0, the rest of an interrupted print is planned from this bead on, along the same joint paths
+            as the whole print; the beads before it are already there.
+        baseline: Whether the baseline strategy is planned as well; its metrics are in `Plan.baseline`.
+        draft: For interactive use: the first verified plan is taken as it is, without a baseline and advice.
+        over: Spreads the beads that strategy `sqp` refines over processes or machines, see
+            `planner.base.distribution.crew`.
+        terms: Terms of your own that the refinement of strategy `sqp` weighs against the others, see `OwnTerm`.
+
+    Returns:
+        The plan, which may have failed checks; see `Plan.verified`.
+
+    Raises:
+        InputError: If the input is wrong, or if there is not enough memory.
+        Refusal: If there is no plan at all.
     """
     problem = problem if isinstance(problem, Problem) else load(problem)
     tolerance = None if tolerance is None else _tolerance(tolerance)
@@ -162,7 +179,7 @@ def solve(
         if expected.seconds >= TOLD_FROM:
             stages.tell(f"{work.waypoints:,} waypoints in {work.beads:,} beads: {expected.words}")
         with stages.stage("obstacles"):
-            pieces = problem.process.split_beads  # which are counted once it is known whether there are any
+            pieces = problem.process.split_beads  # counted only once it is known whether there are any
             begin = 0 if pieces else _within(_above_what_is_printed(problem, toolpath, first_bead), toolpath)
             given = context_of(problem, cell, toolpath, begin, own)
             given = replace(given, draft=draft)
@@ -175,7 +192,7 @@ def solve(
             if compared and count > most:
                 compared = False
                 stages.tell(f"more than {most:,} {what}: not compared with {BASELINE}")
-        late = pieces and first_bead > 0  # the baseline is that of the rest, which is known once pieces are
+        late = pieces and first_bead > 0  # the baseline is that of the rest, which is known only once pieces are
         with _baseline_beside(compared and not late, given, dt, second_process) as baseline_metrics:
             found, nearer = _found(strategy, given, first_bead, dt, stages, second_process, over)
             given, planned, maps = found
@@ -231,8 +248,10 @@ def _found(
     second_process: bool,
     over: Spread | None,
 ) -> tuple[Planned, Nearer | None]:
-    """The whole print planned as can be, of which the rest from `first_bead` on is kept. Raises Refusal, with hints that were
-    tried."""
+    """The whole print planned as well as possible, keeping only what follows from `first_bead` on.
+
+    Raises Refusal, with hints that were tried.
+    """
     problem, toolpath, pieces = given.problem, given.toolpath, given.problem.process.split_beads
     shared = second_process and toolpath.waypoints >= WORTH_HALVES
 
@@ -260,7 +279,7 @@ def _found(
 
 
 def _by_what_stands_there(given: PlanningContext, refusal: Refusal) -> Refusal:
-    """The refusal; of a search that found all blocked, the one that names what an upright nozzle would be in, if it would."""
+    """The refusal; if everything is blocked, rather one that names what an upright nozzle collides with."""
     if isinstance(refusal, Blocked) and not given.toolpath.beads[0].round:
         try:
             check_upright(given)
@@ -270,9 +289,10 @@ def _by_what_stands_there(given: PlanningContext, refusal: Refusal) -> Refusal:
 
 
 def with_asked(plan: Plan, stages: Stages, body: PrintBody | None = None) -> Plan:
-    """The plan with the motion that its program asks for, as runs have taught, and the checks of that; itself without any.
+    """The plan with the motion that its program commands, as learnt from runs, and the checks of it.
 
-    body: part and print as obstacles, see `verify`. Raises InputError for corrections that are none of this print's.
+    Without corrections it has neither. body: part and print as obstacles, see `verify`. Raises InputError for
+    corrections that do not belong to this print.
     """
     asked = asked_of(plan.problem, plan.cell, plan.toolpath, plan.trajectory)
     own = tuple(check for check in plan.checks if not check.name.startswith(ASKED))
@@ -284,9 +304,9 @@ def with_asked(plan: Plan, stages: Stages, body: PrintBody | None = None) -> Pla
 
 
 def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process: bool = False) -> Report:
-    """What verification says of the plan that `solve` would make, without dips and baseline, and with all of its clearance.
+    """The verification report of the plan that `solve` would make, without dips and baseline, at full clearance.
 
-    toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
+    toolpath: the problem's own, which does not depend on its cell. Raises Refusal if there is no plan at all.
     """
     given = context_of(problem, build_cell(problem), toolpath)
     shared = second_process and toolpath.waypoints >= WORTH_HALVES
@@ -296,7 +316,7 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
 
 
 def _known(strategy: str) -> str:
-    """Raises InputError where there is no such strategy."""
+    """The strategy's name. Raises InputError if there is no such strategy."""
     as_one_of(strategy, str, "strategy", "its name; register_strategy gives one to a function of your own")
     if strategy in STRATEGIES:
         return strategy
@@ -306,23 +326,23 @@ def _known(strategy: str) -> str:
 
 
 def _own(terms: Sequence[OwnTerm], strategy: str, over: Spread | None) -> tuple[Own, ...]:
-    """A user's terms. Raises InputError for what is no term, and where nothing would ask them."""
+    """A user's terms. Raises InputError for anything that is no term, and if nothing would use them."""
     if terms and strategy != DEFAULT:
         raise InputError(f"strategy {strategy} refines nothing", field="terms", hint=f"strategy {DEFAULT} does")
     if over is not None:
         check_callable(over, "over")
     if terms and over is not None:
-        raise InputError("other processes cannot ask terms of this one", field="terms", hint="leave out over")
+        raise InputError("cannot be evaluated in other processes", field="terms", hint="leave out over")
     return own_terms(terms)
 
 
 def _names_of(terms: Sequence[OwnTerm]) -> dict[str, object]:
-    """What plan.json says of a user's terms, where there are any."""
+    """The entry of plan.json for a user's terms, if there are any."""
     return {"terms": [term.name for term in terms]} if terms else {}
 
 
 def _tolerance(text: Tolerance | str) -> Tolerance:
-    """Raises InputError for what is no tolerance."""
+    """The tolerance that a text gives. Raises InputError if it gives none."""
     if isinstance(text, Tolerance):
         return text
     as_one_of(text, str, "tolerance", "such as 2mm,1deg")
@@ -333,7 +353,7 @@ def _tolerance(text: Tolerance | str) -> Tolerance:
 
 
 def _within(first_bead: int, toolpath: Toolpath) -> int:
-    """The index of the first bead to print. Raises InputError where there is no such bead."""
+    """The index of the first bead to print. Raises InputError if there is no such bead."""
     last = len(toolpath.beads) - 1
     if not 0 <= first_bead <= last:
         raise InputError(f"there is no bead {first_bead} to begin with", hint=f"a number from 0 to {last}")
@@ -341,12 +361,12 @@ def _within(first_bead: int, toolpath: Toolpath) -> int:
 
 
 def _above_what_is_printed(problem: Problem, toolpath: Toolpath, first_bead: int) -> int:
-    """The first bead to print: of a print that was scanned none that is there. Raises InputError where it is to be."""
+    """The first bead to print, above what a scan found printed. Raises InputError if it is printed already."""
     printed = printed_beads(problem, toolpath)
     if first_bead == 0:
         return printed
     if 0 < first_bead < printed:
-        reason = f"bead {first_bead} is printed already, as as_printed says"
+        reason = f"bead {first_bead} is printed already, according to as_printed"
         raise InputError(reason, hint=f"{printed} is the first above")
     return first_bead
 
@@ -361,24 +381,24 @@ def _as_can_be(
     stages: Stages,
     over: Spread | None,
 ) -> tuple[Planned, Nearer | None]:
-    """The whole print, planned as `_as_clear_as_can_be`.
+    """The whole print, planned by `_as_clear_as_can_be`.
 
-    Where an upright nozzle has no way, one that leans within its cone is tried; where there is none as far from the ends of
-    joints' ranges as searches keep, one nearer to them, if that gives a verified plan. Raises Refusal.
+    If an upright nozzle has no way, one that leans within its cone is tried; if there is no way at the usual margin
+    from the joint limits, one closer to them. Either is taken if that gives a verified plan. Raises Refusal.
     """
     try:
         return _as_clear_as_can_be(strategy, given, print_of, stages, over)
     except Refusal as refusal:
         leans = leaning(given, refusal, stages) if strategy == DEFAULT else None
         if leans is not None:
-            with suppress(Refusal):  # other processes know the tasks as they were
+            with suppress(Refusal):  # other processes have the original tasks
                 leant = print_of(leans)
                 if leant[1].verified:
                     return leant, None
         nearer = nearer_to_ends(given, refusal, stages)
         if nearer is None:
             raise
-        own, planned, maps = print_of(nearer)  # other processes know the room that is usual
+        own, planned, maps = print_of(nearer)  # other processes have the usual margin
         if not planned.verified:
             raise
         return (noted(own, planned.paths[own.laid], refusal), planned, maps), None
@@ -391,8 +411,11 @@ def _as_clear_as_can_be(
     stages: Stages,
     over: Spread | None,
 ) -> tuple[Planned, Nearer | None]:
-    """What is planned, with the usual clearance of nozzle and head; where that cannot be kept, and nobody asked for it, with
-    the greatest that gives a verified plan. Runs are shortened first where that helps. Raises Refusal."""
+    """The print planned with the usual clearance of nozzle and head, or the greatest one that gives a verified plan.
+
+    It is reduced only if the usual one cannot be kept and the problem does not ask for it. Runs are shortened first if
+    that helps. Raises Refusal.
+    """
     refusal, found = None, None
     try:
         found = print_of(given, over)
@@ -401,7 +424,7 @@ def _as_clear_as_can_be(
     if refusal is not None and strategy == DEFAULT and refusal.run is not None:
         short = with_short_runs(given, refusal, stages)
         if short is not None:
-            with suppress(Refusal):  # other processes know the runs as they were
+            with suppress(Refusal):  # other processes have the original runs
                 found, given = print_of(short), short
     dips = "" if found is None else dips_in_a_run(found[1].trajectory, found[1].report)
     if dips and strategy == DEFAULT and may_be_short(given.problem):
@@ -415,7 +438,7 @@ def _as_clear_as_can_be(
         if refusal is not None and refusal.run is not None and strategy == DEFAULT and may_be_short(given.problem):
             ways = chain(ways, coming_nearer(all_short(given, refusal.reason), because, stages, refusal))
         for told, nearer in ways:
-            try:  # other processes read the problem as it was
+            try:  # other processes read the original problem
                 again = print_of(nearer)
             except Refusal:
                 continue
@@ -436,11 +459,11 @@ def _planned(
     rounds: int = ROUNDS,
     off: Array | None = None,
 ) -> Planned:
-    """The plan of a strategy, of the default one the best of all strategies'. Raises Refusal.
+    """The plan of a strategy, for the default one the best of all strategies'. Raises Refusal.
 
-    Where a plan is off its path between samples, these are set finer and all is planned again, in so many rounds at most.
+    If a plan leaves its path between samples, it is sampled more finely and planned again, in so many rounds at most.
 
-    off (beads): how far the plan of the round before is off, in tolerances
+    off (beads): how far the previous round's plan is off, in tolerances
     """
     others, min_sigma = strategy == DEFAULT, given.problem.resolve.min_sigma
 
@@ -469,7 +492,7 @@ def _planned(
         if finer is not None and given.leans:
             finer = with_leans(finer, stages)
         if finer is not None:
-            try:  # other processes know the samples as they were drawn, so nothing is spread over them
+            try:  # other processes have the original samples, so nothing is spread over them
                 before = worst_off(own.trajectory, own.report)
                 again = _planned(strategy, finer, dt, stages, shared, rounds=rounds - 1, off=before)
             except Refusal:
@@ -497,8 +520,7 @@ def _rest_of(strategy: str, whole: Planned, first_bead: int, dt: float, stages: 
 
 
 def _planned_in_pieces(strategy: str, given: PlanningContext, dt: float, stages: Stages, shared: bool) -> Planned:
-    """As `_planned`, of the print as it is drawn, or with beads in pieces where it is refused so or not verified; and what
-    was planned."""
+    """As `_planned`, for the print as drawn, or with beads in pieces if that is refused or not verified."""
     drawn = given
     refusal, whole = None, None
     try:
@@ -514,7 +536,7 @@ def _planned_in_pieces(strategy: str, given: PlanningContext, dt: float, stages:
             continue
         try:
             again = _planned(strategy, cut, dt, stages, shared)
-        except Refusal:  # what the drawing is refused for is told
+        except Refusal:  # the refusal of the print as drawn is reported
             continue
         if whole is None or again[1].verified:
             whole = again
@@ -524,7 +546,7 @@ def _planned_in_pieces(strategy: str, given: PlanningContext, dt: float, stages:
 
 
 def _paths_of(strategy: str, given: PlanningContext, stages: Stages, over: Spread | None = None) -> Sequence[JointPath]:
-    """Paths of all beads by one strategy; the default's are those of the ladder, which are known, refined."""
+    """Paths of all beads by one strategy; the default's are those of the ladder, which are known, after refinement."""
     cell, tasks, settings, obstacles = given.cell, given.tasks, given.problem.resolve, given.obstacles
     with stages.stage("resolve"), given_back(given.toolpath.waypoints >= WORTH_HALVES):
         if strategy == "ladder" and given.start:
@@ -539,9 +561,9 @@ def _paths_of(strategy: str, given: PlanningContext, stages: Stages, over: Sprea
 def _plan_along(
     paths: Sequence[JointPath], strategy: str, given: PlanningContext, dt: float, stages: Stages, second_process: bool
 ) -> tuple[Trajectory, Report, Sequence[Travel]]:
-    """Time, join and verify the paths of all beads; the bound on the deposition time joins the metrics.
+    """Time, join and verify the paths of all beads; the bound on the deposition time is added to the metrics.
 
-    Travels are only those around what is printed.
+    Travels are only those around beads that are laid.
     """
     problem, cell, toolpath = given.problem, given.cell, given.toolpath
     obstacles = NOTHING if strategy in UNAWARE else given.obstacles
@@ -559,18 +581,18 @@ def _plan_along(
 
 
 def _distance(given: PlanningContext, report: Report) -> dict[str, float]:
-    """The bound of the deposition time over all choices, and how far a plan is from it, where it is found."""
+    """The lower bound of the deposition time over all choices, and a plan's gap to it, where the bound is computed."""
     tasks = given.tasks[given.laid]
     too_many = given.toolpath.waypoints > MOST_WAYPOINTS or len(given.cell.chosen) > MOST_CHOSEN
     if too_many or tasks[0].cones.tilt > 0.0:
         return {}
     bound = bound_any_path(given.cell, tasks)
-    gap = max(report.metrics["deposition_time_s"] / bound - 1.0, 0.0)  # samples round the time
+    gap = max(report.metrics["deposition_time_s"] / bound - 1.0, 0.0)  # sampling rounds the time
     return {"bound_any_path_s": bound, "bound_gap_fraction": gap}
 
 
 def _report_of(strategy: str, given: PlanningContext, dt: float) -> Report:
-    """What verification says of a strategy's plan."""
+    """The verification report of a strategy's plan."""
     stages = Stages()
     return _plan_along(_paths_of(strategy, given, stages), strategy, given, dt, stages, False)[1]
 
@@ -585,9 +607,9 @@ def trajectory_of(
     second_process: bool,
     stages: Stages | None = None,
 ) -> tuple[Trajectory, Sequence[Travel]]:
-    """Time the beads' paths and plan the travel between them, half of both in a second process if that is wanted.
+    """Time the beads' paths and plan the travel between them, half of both in a second process if requested.
 
-    The travels in the trajectory come back with it.
+    Returns the trajectory, and the travels in it.
     """
     n, moving = len(paths), problem.process.hand_over == "motion"
     stages = stages or Stages()
@@ -624,10 +646,10 @@ def _elsewhere(
     dt: float,
     body: PrintBody | None = None,
 ) -> Trajectory:
-    """The trajectory in a cell whose part stands elsewhere: paths that were followed there, travel carried along, or planned
-    anew where it cannot be.
+    """The trajectory in a cell whose part is displaced: paths are followed there, and travel is carried along.
 
-    body: part and print as obstacles there, where what is planned anew keeps clear of them, and of all bodies
+    Travel that cannot be carried along is planned again. body: part and print as obstacles there, if travel planned
+    again is to keep clear of them and of all bodies
     """
     process, moving = problem.process, problem.process.hand_over == "motion"
     timed = [time_path(cell, path, (moving, moving), problem.resolve.timing) for path in paths]
@@ -671,8 +693,10 @@ def _robustness(
 def _baseline_beside(
     wanted: bool, given: PlanningContext, dt: float, second_process: bool
 ) -> Iterator[Callable[[], dict[str, dict[str, float]]]]:
-    """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process: for a large
-    print, and on a first run, since the baseline's process then compiles what comes after the search."""
+    """A function that gives the baseline's metrics by strategy, planned alongside the block if that is worth a process.
+
+    It is for a large print, and on a first run, since the baseline's process then compiles what comes after the search.
+    """
     if not wanted:
         yield dict
         return
@@ -682,7 +706,7 @@ def _baseline_beside(
 
 
 def _baseline(given: PlanningContext, dt: float) -> dict[str, dict[str, float]]:
-    """Metrics of the published way of moving; empty ones if it cannot be planned here."""
+    """Metrics of the published way of moving; empty if it cannot be planned here."""
     try:
         return {BASELINE: _report_of(BASELINE, given, dt).metrics}
     except Refusal:

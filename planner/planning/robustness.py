@@ -1,14 +1,14 @@
-"""Whether a plan holds where its part stands a little elsewhere: bounds to first order, and trials planned anew.
+"""Whether a plan holds for a slightly displaced part: bounds to first order, and trials planned again.
 
-The robot program runs in a work object. A part that stands elsewhere is measured and the work object corrected; the
-nozzle then takes the same poses relative to the part, with the same table angles and on the same branch, by other
-joint angles. Bounds to first order tell how far every joint moves within the whole tolerance; displacements on the
-tolerance's edge are followed, timed, joined by the same travel and verified as the plan itself is.
+The robot program runs in a work object. A displaced part is measured and the work object corrected; the nozzle then
+takes the same poses relative to the part, with the same table angles and on the same branch, but with other joint
+angles. Bounds to first order give how far every joint moves within the whole tolerance; displacements on the
+tolerance's edge are followed, timed, joined by the same travel and verified like the plan itself.
 
 A part displaced by a shift d and a turn w about its middle m takes the nozzle's pose at p along: by d + w x (p - m),
-and by the turn w. With R the part's orientation in the world the joints that follow change by
+and by the turn w. With R the part's orientation in the world, the joints that follow change by
 J^-1 [R (d + w x (p - m)); R w], which is linear in (d, w). The greatest value of a linear form a.d + b.w over shifts
-of length delta and turns of angle alpha is delta |a| + alpha |b| (their dual norms), so one product a sample bounds
+of length delta and turns of angle alpha is delta |a| + alpha |b| (their dual norms), so one product per sample bounds
 all displacements at once. The singular value's slope is u^T (dJ/dq) v with its two singular vectors.
 """
 
@@ -42,7 +42,7 @@ AXES = "xyz"
 
 
 class Verified(Protocol):
-    """What the verifier says of a motion."""
+    """The verifier's result for a motion."""
 
     @property
     def checks(self) -> tuple[Check, ...]:
@@ -68,10 +68,10 @@ def assess_robustness(
     again: Again,
     second_process: bool = False,
 ) -> Robustness:
-    """Judge a plan's joint paths over a tolerance; what fails there is reported, not raised.
+    """Judge a plan's joint paths over a tolerance; failures there are reported, not raised.
 
-    planned: what the verifier says of the plan itself; again: does so of its paths in another cell. With a second
-    process the same comes sooner.
+    planned: the verifier's result for the plan itself; again: gives that of its paths in another cell. A second process
+    gives the same sooner.
     """
     middle = middle_of(toolpath)
     bounds = first_order(cell, paths, tolerance, middle, problem.resolve.min_sigma)
@@ -92,18 +92,18 @@ def assess_robustness(
 
 
 def middle_of(toolpath: Toolpath) -> Array:
-    """Middle (3) of the box around all that is printed, part frame [m]."""
+    """Middle (3) of the bounding box of the print, part frame [m]."""
     low = np.min([bead.points.min(axis=0) for bead in toolpath.beads], axis=0)
     high = np.max([bead.points.max(axis=0) for bead in toolpath.beads], axis=0)
     return np.asarray(0.5 * (low + high))
 
 
 def displacements(tolerance: Tolerance) -> tuple[Displacement, ...]:
-    """Displacements on the edge of a tolerance, always the same ones; none where it is 0.
+    """Displacements on the edge of a tolerance, always the same ones; none if it is 0.
 
-    The whole shift along each axis, the whole turn about each, both ways (12); and eight corners, with shift and turn
-    whole at once, their signs those of the fractional factorial design 2^(6-3): each two of the six come in all four
-    combinations (Box and Hunter 1961). Those that are alike, because shift or turn is 0, are tried once.
+    The full shift along each axis, the full turn about each, both ways (12); and eight corners, with full shift and
+    turn at once, their signs those of the fractional factorial design 2^(6-3): any two of the six occur in all four
+    combinations (Box and Hunter 1961). Those that coincide, because shift or turn is 0, are tried once.
     """
     out: dict[tuple[Vector, Vector], Displacement] = {}
 
@@ -124,14 +124,14 @@ def displacements(tolerance: Tolerance) -> tuple[Displacement, ...]:
 
 
 def _along(size: float, signs: Sequence[float]) -> Vector:
-    """A vector of a length in the direction of signs (3), or 0."""
+    """A vector of this length in the direction of signs (3), or 0."""
     length = math.hypot(*signs)
     x, y, z = (size * sign / length + 0.0 if length and size else 0.0 for sign in signs)
     return x, y, z
 
 
 def _words(tolerance: Tolerance, shift: Sequence[float], turn: Sequence[float]) -> str:
-    """What a displacement is called: how far along and about which axes."""
+    """Name of a displacement: how far along and about which axes."""
     parts = []
     if tolerance.shift and any(shift):
         parts.append(f"{tolerance.shift * 1e3:g} mm along {_axes(shift)}")
@@ -146,16 +146,16 @@ def _axes(signs: Sequence[float]) -> str:
 
 
 def _try(displacement: Displacement, elsewhere: Cell, paths: Sequence[JointPath], again: Again) -> TriedDisplacement:
-    """The paths followed where the part stands displaced, and verified there; or why they cannot be."""
+    """The paths followed with the part displaced, and verified there; or why they cannot be."""
     try:
         report = again(elsewhere, [followed(elsewhere.at(path.task.material), path) for path in paths])
-    except PlannerError as error:  # whatever the user would be told of a part that stands there
+    except PlannerError as error:  # the same that would be reported for a part planned there
         return TriedDisplacement(displacement, refusal=str(error))
     return TriedDisplacement(displacement, report.checks, report.metrics)
 
 
 def followed(cell: Cell, path: JointPath) -> JointPath:
-    """The path with the same roll, tilt, chosen joints, branch and turns, its other joints as this cell asks for.
+    """The path with the same roll, tilt, chosen joints, branch and turns, its other joints as this cell requires.
 
     Raises Refusal, with the place, where a pose is out of reach or a joint leaves its range.
     """
@@ -184,8 +184,8 @@ def first_order(
 ) -> tuple[Bound, ...]:
     """The bound of each joint that follows from the nozzle's pose, tightest first, then that of the singularity margin.
 
-    Joints count along beads and their runs, singularities where material flows; travel is not looked at. middle (3) of
-    what is printed [m].
+    Joints count along beads and their runs, singularities where material flows; travel is not considered. middle (3):
+    of the print [m].
     """
     tightest: dict[int, Bound] = {}
     for path in paths:
@@ -233,7 +233,7 @@ def _bounds(
 
 
 def _worst(joint: str, slope: Array, tolerance: Tolerance) -> Displacement:
-    """The displacement that raises a quantity of this slope (6) most."""
+    """The displacement that most raises a quantity with this slope (6)."""
     name = f"worst for {joint}, to first order" if joint else "worst for the singularity margin, to first order"
     parts = []
     for size, part in ((tolerance.shift, slope[:3]), (tolerance.turn, slope[3:])):
@@ -244,10 +244,10 @@ def _worst(joint: str, slope: Array, tolerance: Tolerance) -> Displacement:
 
 
 def displacement_slopes(cell: Cell, path: JointPath, rows: slice, middle: Array) -> tuple[Array, Array]:
-    """Slopes (n, k + 1, 6) of the k solved joints [rad] and of sigma by shift [m] and turn [rad] of the part, and sigma (n).
+    """Slopes (n, k + 1, 6) of k solved joints [rad] and sigma by the part's shift [m] and turn [rad], and sigma (n).
 
-    sigma is the smallest singular value of the arm's whole Jacobian at the tip, without what carries the arm. Slopes are
-    infinite in a singularity.
+    sigma is the smallest singular value of the arm's whole Jacobian at the tip, without joints that carry the arm.
+    Slopes are infinite at a singularity.
     """
     na, q = len(cell.arm), path.q[rows]
     J = cell.arm.jacobians(q[:, :na])[:, :, cell.rails :]
@@ -271,7 +271,7 @@ def displacement_slopes(cell: Cell, path: JointPath, rows: slice, middle: Array)
 
 
 def _cross_matrices(v: Array) -> Array:
-    """Matrices (n, 3, 3) that multiply a vector as v x does, for v (n, 3)."""
+    """Cross-product matrices (n, 3, 3) of v (n, 3)."""
     out = np.zeros((len(v), 3, 3))
     out[:, 2, 1], out[:, 0, 2], out[:, 1, 0] = v.T
     out[:, 1, 2], out[:, 2, 0], out[:, 0, 1] = -v.T
@@ -279,7 +279,7 @@ def _cross_matrices(v: Array) -> Array:
 
 
 def _sigma_slope(J: Array, u: Array, v: Array) -> Array:
-    """Slopes (n, na) of a singular value by the arm's joints, u (n, 6) and v (n, na) its singular vectors, J (n, 6, na).
+    """Slopes (n, na) of a singular value by the arm's joints; u (n, 6), v (n, na): its singular vectors; J (n, 6, na).
 
     Turning joint k carries all columns o >= k along, and moves the tip for those before it.
     """
@@ -292,9 +292,9 @@ def _sigma_slope(J: Array, u: Array, v: Array) -> Array:
 
 
 def displaced(cell: Cell, T_planned_displaced: Array, along: tuple[str, ...] = ()) -> Cell:
-    """The cell whose part stands elsewhere on what holds it: its frame (4, 4) given in the planned part frame.
+    """The cell with its part displaced on the holder: the part's frame (4, 4) is given in the planned part frame.
 
-    What is carried with the part stays with it, and so do the fixtures named in `along`, where nothing turns.
+    Bodies carried with the part stay with it, and so do the fixtures named in `along`, if nothing turns.
     """
     T_world_moved = cell.T_world_holder @ T_planned_displaced @ rigid_inverse(cell.T_world_holder)
     return replace(
@@ -310,7 +310,7 @@ def displaced(cell: Cell, T_planned_displaced: Array, along: tuple[str, ...] = (
 
 
 def beneath(cell: Cell, toolpath: Toolpath, near: float) -> tuple[str, ...]:
-    """Names of the fixtures that part or print lie on: nearer to them than `near` [m]. None where the part turns.
+    """Names of the fixtures that part or print lie on: closer to them than `near` [m]. None if the part turns.
 
     A part that is found lower than planned has not sunk into its bed: the bed is lower.
     """

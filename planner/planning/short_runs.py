@@ -1,8 +1,8 @@
-"""Run-ins and run-outs as short as may be, where a bead can be laid but not run into, or out of, at their usual length.
+"""Run-ins and run-outs as short as possible, where a bead can be laid but its runs do not fit at their usual length.
 
-A wall beside a bead's end, or a posture that the arm does not have beyond it, would refuse the whole print; a bead beside it
-would be pressed into. The nozzle is at speed some tenths of a millimetre later then. A user's own `process.run_in_mm` is never
-shortened.
+A wall next to a bead's end, or a lack of postures beyond it, would cause the whole print to be refused; and the nozzle
+would press into an adjacent bead. With short runs the nozzle reaches its speed some tenths of a millimetre later. A
+user's own `process.run_in_mm` is never shortened.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from planner.planning.context import PlanningContext, with_way
 from planner.problem import Problem
 from planner.verify.verdict import Report
 
-MOST_ENDS = 3  # that are shortened one by one, as searches find them; then all are
+MOST_ENDS = 3  # shortened one by one, as searches find them, before all are
 RUNS = ("run-in", "run-out")
-# Checks that a run may fail where it passes over a bead beside it, with the sign and the words in which to say by how much.
+# Checks that a run may fail where it passes over an adjacent bead, with the sign and the words to say by how much.
 TIP_CHECK, PRESSED_CHECK = "nozzle tip outside the part", "print pressed by the nozzle"
 RUN_CHECKS = {
     TIP_CHECK: (-1.0, "the tip is {:.2g} mm in the part"),
@@ -30,10 +30,10 @@ RUN_CHECKS = {
 
 
 def with_short_runs(given: PlanningContext, refusal: Refusal, stages: Stages) -> PlanningContext | None:
-    """The same print with those runs shortened in which a search ends, if it finds a way then, or else with all of them
-    short; None where the problem asks for their length.
+    """The same print with those runs shortened at which a search fails, if it then finds a way, or else with all of
+    them short; None if the problem sets their length.
 
-    refusal: of the print with its usual runs
+    refusal: that of the print with its usual runs
     """
     if not may_be_short(given.problem):
         return None
@@ -55,7 +55,7 @@ def with_short_runs(given: PlanningContext, refusal: Refusal, stages: Stages) ->
 
 
 def may_be_short(problem: Problem) -> bool:
-    """Whether runs have their length because the problem says nothing of it."""
+    """Whether runs may be shortened, because the problem does not set their length."""
     return "run_in" not in problem.process.model_fields_set
 
 
@@ -66,8 +66,8 @@ def all_short(given: PlanningContext, because: str) -> PlanningContext:
 
 
 def dips_in_a_run(trajectory: Trajectory, report: Report) -> str:
-    """What to say of a plan whose only fault is that the nozzle or its tip comes too near to part or print where nothing is
-    laid, as where a run-in passes over a bead beside it; nothing of others."""
+    """A note for a plan whose only fault is that the nozzle or its tip comes too close to part or print where nothing
+    is laid, as when a run-in passes over an adjacent bead; empty for others."""
     wrong = [check for check in report.checks if not check.ok]
     if not wrong or any(check.name not in RUN_CHECKS or trajectory.deposit[check.sample] for check in wrong):
         return ""
@@ -76,7 +76,7 @@ def dips_in_a_run(trajectory: Trajectory, report: Report) -> str:
 
 
 def _shortened(given: PlanningContext, short: Mapping[int, tuple[bool, bool]], note: str) -> PlanningContext:
-    """The same print with other runs, and a note that says so."""
+    """The same print with these runs shortened, and a note that says so."""
     toolpath = given.toolpath
     beads = tuple(replace(bead, short_runs=short[i]) for i, bead in enumerate(toolpath.beads))
     toolpath = replace(toolpath, beads=beads, notes=(*toolpath.notes, note))

@@ -58,11 +58,11 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         strategy = options.strategy or problem.strategy
         folder = options.out or Path("out") / resumed_name(problem.name, options.from_bead)
         if options.out is None and (other := plan_of_another(folder, problem)):
-            words = f"note: {folder} has the plan of {other}; the results of this run will replace it: --out names another folder"
+            words = f"note: {folder} holds the plan of {other}; the results of this run will replace it: --out names another folder"
             errors.print(words, markup=False, soft_wrap=True)
-        # first of all: a folder that cannot be written, and a scheduler that does not answer, are told at once
+        # first of all, so that a folder that cannot be written or a scheduler that does not answer is reported at once
         with results_folder(folder, RESULTS_BY, told.append) as fresh, crew(options.jobs, options.scheduler) as over:
-            libraries.begin()  # one core has nothing else to do before the search
+            libraries.begin()  # one core is idle before the search
             hints: Hints | None = None
             shared = over if options.jobs > 1 or options.scheduler is not None else None
             try:
@@ -71,13 +71,13 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
                 )
             except Refusal as refusal:
                 errors.print(f"no plan: {refusal}", markup=False, soft_wrap=True)
-                with stages.stage("hints"):  # found when they are first asked for, which may take longer than all else
+                with stages.stage("hints"):  # computed on first access, which may take longer than everything else
                     hints = refusal.hints
                 write_refusal(problem, strategy, refusal, fresh)
                 report_refusal(problem, strategy, refusal, fresh / "report.html")
             else:
                 plan = write_files(plan, fresh, stages, second_process=True)
-    no_more_interruptions()  # which would say that nothing was written
+    no_more_interruptions()  # an interruption would report that nothing was written
     for sentence in told:
         errors.print(f"note: {sentence}", markup=False, soft_wrap=True)
     if hints is not None:
@@ -90,19 +90,19 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
 
 
 def plan_of_another(folder: Path, problem: Problem) -> str:
-    """The problem file whose plan is in a folder, by its path from here; empty where it is this problem's, or none."""
+    """The problem file whose plan is in a folder, as a path from here; empty if it is this one's, or none."""
     try:
         with (folder / PLAN).open(encoding="utf-8", errors="replace") as stream:
             found = _FILE.search(stream.read(HEAD))
         other = "" if found is None else str(json.loads(found[1]))
         same = other == file_as_given(problem) or Path(other).resolve() == problem.file.resolve()
-    except (OSError, ValueError):  # it is none of ours
+    except (OSError, ValueError):  # not one of our files
         return ""
     return "" if same else other
 
 
 def report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Path) -> None:
-    """Write the report of a refusal: it shows the beads again, and the place among them."""
+    """Write the report of a refusal: it shows the beads, and the place of the refusal among them."""
     cell = build_cell(problem)
     write_failure_report(
         path,

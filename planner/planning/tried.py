@@ -1,7 +1,7 @@
-"""What a refusal advises, tried: each change is planned to the end, and told only if that gives a verified plan.
+"""A refusal's hints, tried: each change is planned to the end, and suggested only if that gives a verified plan.
 
-A search that finds a way with a change has not timed, refined or verified anything. Large prints take too long to be planned
-for every hint: there it is said that nothing but the search has been tried.
+A search that finds a way with a change has not yet timed, refined or verified anything. Large prints take too long to
+be planned for every hint: their hints say that only the search has been tried.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from planner.toolpath.task import noise_of
 from planner.toolpath.waypoints.beads import NOTED
 from planner.toolpath.waypoints.surfels import other_height
 
-MOST_WAYPOINTS = 20_000  # planned for all hints of a refusal together,
-MOST_PLANS = 6  # and in so many plans,
-MOST_SECONDS = 120.0  # s after which no further one is begun
+MOST_WAYPOINTS = 20_000  # planned at most, for all hints of a refusal together,
+MOST_PLANS = 6  # in at most so many plans,
+MOST_SECONDS = 120.0  # s after which no further plan is begun
 _UNTRIED = "not planned to the end"
 _HEIGHT = "process.bead.height_mm"
 _SMOOTHING = "layers.source.smooth_normals_deg"
@@ -41,11 +41,11 @@ def hints_that_hold(
     best: PlanOf | None = None,
     otherwise: Hints = (),
 ) -> Hints:
-    """Those hints whose changes give a verified plan, told with how it prints; those that are no changes; and those for which
-    the print is too large, told to be untried.
+    """Hints whose changes give a verified plan, with how it prints; hints that are no changes; and hints marked as
+    untried, if the print is too large to try them.
 
-    best: plans by the default strategy, where the refusal is of another one
-    otherwise: told where no change gives a verified plan
+    best: plans by the default strategy, if another one's plan was refused
+    otherwise: hints to give if no change gives a verified plan
     """
     own = (_by_base(hint) if _has_base(problem) else hint for hint in hints)
     hints = (*_other_side(problem, toolpath), *_other_height(problem, toolpath), *own, *_smoothing(problem, toolpath))
@@ -76,14 +76,14 @@ def hints_that_hold(
 
 
 def other_places(problem: Problem) -> Hints:
-    """That the part may be printed from elsewhere, and the command that finds out; none for arrays, which it cannot be given."""
+    """A hint to the command that finds another place for the part; none for arrays, which it cannot take."""
     layers = problem.layers
     if isinstance(layers, WaypointLayersSpec) and not isinstance(layers.source.waypoints, Path):
         return ()
     name = problem.file.stem if problem.file.parent == PROBLEMS else str(problem.file)
     sets = [word for text in problem.overrides for word in ("--set", text)]
     command = shlex.join(["python", "-m", "planner.place", name, *sets])
-    return (f"{command} looks for a place of the part from which all of it is printed",)
+    return (f"{command} looks for a place from which the whole part can be printed",)
 
 
 def _told(what: str, found: Plan) -> str:
@@ -91,7 +91,7 @@ def _told(what: str, found: Plan) -> str:
 
 
 def _verified(problem: Problem, fields: tuple[tuple[str, object], ...], plan: PlanOf) -> Plan | None:
-    """A verified plan of the problem with fields changed; None where there is none."""
+    """A verified plan of the problem with fields changed; None if there is none."""
     try:
         found = plan(problem.changed([_setting(problem, *each) for each in fields]))
     except (Refusal, InputError):
@@ -100,7 +100,7 @@ def _verified(problem: Problem, fields: tuple[tuple[str, object], ...], plan: Pl
 
 
 def _setting(problem: Problem, field: str, value: object) -> str:
-    """A field's new value as after `--set`."""
+    """A field's new value in the form that `--set` takes."""
     if not isinstance(value, MovedBy):
         return f"{field}={value}"
     carrier = problem.cell.positioner
@@ -110,12 +110,12 @@ def _setting(problem: Problem, field: str, value: object) -> str:
 
 
 def _has_base(problem: Problem) -> bool:
-    """Whether the file says where the positioner's base stands, and not the plate's centre."""
+    """Whether the file gives the place of the positioner's base, and not of the plate's centre."""
     return problem.cell.positioner is not None and problem.cell.positioner.base is not None
 
 
 def _by_base(hint: str) -> str:
-    """A hint with the key of a positioner's base in place of that of its plate's centre."""
+    """A hint with the key of the positioner's base instead of that of its plate's centre."""
     if not isinstance(hint, Change):
         return hint
     tries = tuple(
@@ -126,17 +126,17 @@ def _by_base(hint: str) -> str:
 
 
 def _other_side(problem: Problem, toolpath: Toolpath) -> Hints:
-    """The other sense of a file's normals, where they point down on the whole."""
+    """A hint to reverse a file's normals, if they point down on the whole."""
     layers = problem.layers
     if not isinstance(layers, WaypointLayersSpec) or sum(bead.normals[:, 2].mean() for bead in toolpath.beads) >= 0.0:
         return ()
     other = "outward" if layers.source.normals == "inward" else "inward"
-    what = f"layers.source.normals: {other} (they point down on the whole)"
+    what = f"layers.source.normals: {other} (they mostly point down)"
     return (Change(what, ((what, (("layers.source.normals", other),)),)),)
 
 
 def _other_height(problem: Problem, toolpath: Toolpath) -> Hints:
-    """The height of beads that a file's layers have, where the problem has another one."""
+    """A hint with the bead height of a file's layers, if the problem has another one."""
     layers, height = problem.layers, problem.process.bead.height
     if not isinstance(layers, WaypointLayersSpec):
         return ()
@@ -144,12 +144,12 @@ def _other_height(problem: Problem, toolpath: Toolpath) -> Hints:
     apart = None if told else other_height(toolpath.beads, height)
     if apart is None:
         return ()
-    what = f"{_HEIGHT}: {apart * 1e3:.2g} (the file's layers lie so far apart)"
+    what = f"{_HEIGHT}: {apart * 1e3:.2g} (the spacing of the file's layers)"
     return (Change(what, ((what, ((_HEIGHT, f"{apart * 1e3:.2g}"),)),)),)
 
 
 def _smoothing(problem: Problem, toolpath: Toolpath) -> Hints:
-    """Smoothing of noisy normals, where the problem forbids it."""
+    """A hint to smooth noisy normals, if the problem forbids it."""
     layers = problem.layers
     if (
         not isinstance(layers, WaypointLayersSpec)
@@ -158,4 +158,4 @@ def _smoothing(problem: Problem, toolpath: Toolpath) -> Hints:
     ):
         return ()
     tries = tuple((f"{_SMOOTHING}: {deg}", ((_SMOOTHING, deg),)) for deg in _SMOOTHINGS)
-    return (Change(f"{_SMOOTHING}: {_SMOOTHINGS[-1]} smooths normals that are noisy", tries),)
+    return (Change(f"{_SMOOTHING}: {_SMOOTHINGS[-1]} smooths noisy normals", tries),)

@@ -1,8 +1,8 @@
-"""Prints that no posture can lay: where the nozzle's axis is given, what it meets is known without a search.
+"""Prints that no posture can lay: if the nozzle's axis is given, its collisions are known without a search.
 
-A search looks at some places of a path, and sees struts that are as steep as the nozzle just clears pass at these and fail at
-others; and it ends where clearance is lacking first, not where the nozzle is in the plate. Here each bead is followed as
-verification follows it.
+A search checks some places of a path, where struts just steep enough to clear the nozzle may pass although they fail at
+others; and it ends at the first lack of clearance, not where the nozzle is inside the plate. Here each bead is followed
+as verification follows it.
 """
 
 from __future__ import annotations
@@ -29,18 +29,17 @@ from planner.verify.checks import DIGITS
 from planner.verify.executed import UNKNOWN, ExecutedMotion
 from planner.verify.nozzle import nozzle_nearness
 
-RAISES = (5.0, 10.0, 20.0, 40.0, 80.0)  # mm, of the part on its plate
-_STEP = 0.2e-3  # m between places along a bead; between these it is looked at as closely as it takes
-_SLENDERER = "a slenderer nozzle (cell.nozzle.profile_mm) may pass: not planned"
+RAISES = (5.0, 10.0, 20.0, 40.0, 80.0)  # mm by which the part is raised on its plate
+_STEP = 0.2e-3  # m between places along a bead; between them it is checked as finely as necessary
+_SLENDERER = "a slimmer nozzle (cell.nozzle.profile_mm) may fit: not tried"
 _LEAN = "process.cones.nozzle_normal_deg"
 _PART = "cell.positioner.part_mm"
 
 
 def check_upright(given: PlanningContext) -> None:
-    """Raise Blocked, by place, where an upright nozzle would be in the struts that are laid, or be in what stands with the part,
-    in whatever posture.
+    """Raise Blocked, with the place, if an upright nozzle hits struts or bodies around the part whatever the posture.
 
-    What beads on a surface come near of their own print, and nozzles that may lean, are the search's.
+    Beads on a surface that come close to their own print, and nozzles that may lean, are left to the search.
     """
     met = _met(given)
     if met is None:
@@ -48,19 +47,19 @@ def check_upright(given: PlanningContext) -> None:
     bead, task = given.toolpath.beads[met.bead], given.tasks[met.bead - given.printed]
     i = task.first + int(np.argmin(np.abs(bead.s - met.s)))
     down = descent(task, i)
-    reason = f"collision of {met.body} with {met.near}: with the axis that is given every posture lacks {met.lacks * 1e3:.2f} mm"
+    reason = f"collision of {met.body} with {met.near}: with the given axis every posture lacks {met.lacks * 1e3:.2f} mm of clearance"
     if met.near == f"bead {met.bead}" and down > 0.0:
         reason += into_itself(down)
     raises = () if bead.round else _raises(given)
     if raises:
-        reason += f"; {raises[0]:g} mm higher on its plate the part would be clear"
+        reason += f"; the part would be clear {raises[0]:g} mm higher on its plate"
     nearer = nearer_hint(_asked(given.problem) - met.lacks + DIGITS, "clears the nozzle here")
     refuse_at(task, i, reason, hints=lambda: (*nearer, *(_raising(given, raises) or _leaning())), kind=Blocked)
 
 
 @dataclass(frozen=True)
 class _Met:
-    """A body of the head and what it is in, at an arc length of a bead [m], and how far [m]."""
+    """A body of the head and what it collides with, at an arc length of a bead [m], and how deep [m]."""
 
     bead: int
     s: float
@@ -70,13 +69,13 @@ class _Met:
 
 
 def _met(given: PlanningContext) -> _Met | None:
-    """Where the first bead on which an upright nozzle is in something has it most in it."""
+    """The deepest collision of an upright nozzle on the first bead that has one."""
     problem, beads, body = given.problem, given.toolpath.beads, given.body
     struts = beads[0].round
     if problem.process.cones.tilt > 0.0 or not (struts or body.bodies):
         return None
     body = body if struts else body.bodies_alone
-    # what is not round about the axis may be turned away
+    # bodies that are not round about the axis may be turned away
     heads = {
         name: tuple(each for each in given.cell.at(name).head if is_round(each, np.eye(4)))
         for name in {bead.material for bead in beads}
@@ -97,18 +96,21 @@ def _met(given: PlanningContext) -> _Met | None:
 
 
 def _asked(problem: Problem) -> float:
-    """The distance of nozzle and head that is not given up [m]."""
+    """The distance that nozzle and head must keep in any case [m]."""
     return 0.0 if may_come_nearer(problem) else problem.collision.nozzle
 
 
 def _leaning() -> Hints:
-    """What may help: a nozzle that leans, which can be planned, or one of another shape, which is the user's to have."""
+    """What may help: a nozzle that leans, which can be planned, or one of another shape, which is up to the user."""
     tries = tuple((f"{_LEAN}: {deg:g}", ((_LEAN, f"{deg:g}"),)) for deg in TILTS)
     return Change(f"{_LEAN}: {TILTS[-1]:g} may let the nozzle lean clear", tries), _SLENDERER
 
 
 def _raises(given: PlanningContext) -> tuple[float, ...]:
-    """How much higher [mm] a part stands clear on its plate: the least of RAISES, and those beyond; none for a part on a bed."""
+    """How far a part must be raised on its plate to be clear [mm]: the least of RAISES that suffices, and larger ones.
+
+    None for a part on a bed.
+    """
     if given.problem.cell.positioner is None:
         return ()
     for i, more in enumerate(RAISES):
@@ -119,20 +121,20 @@ def _raises(given: PlanningContext) -> tuple[float, ...]:
 
 
 def _higher(given: PlanningContext, more: float) -> list[float]:
-    """Where the part is on its plate, by so much higher [mm]."""
+    """The part's place on its plate, so much higher [mm]."""
     table = given.problem.cell.positioner
     x, y, z = (0.0, 0.0, 0.0) if table is None else (round(1e3 * each, 6) for each in table.part)
     return [x, y, z + more]
 
 
 def _raising(given: PlanningContext, raises: Sequence[float]) -> Hints:
-    """The part higher on its plate, by the least of some heights [mm] or the next."""
+    """A hint to raise the part on its plate, by the least of some heights [mm] or the next."""
     tries = [(f"{_PART}: {place}", ((_PART, place),)) for place in (_higher(given, each) for each in raises[:2])]
     return (Change(f"{tries[0][0]} clears the nozzle", tuple(tries)),) if tries else ()
 
 
 def _along(bead: Bead) -> tuple[Array, ExecutedMotion]:
-    """Arc lengths (n) along a bead [m], and the nozzle's motion there as far as the print is concerned."""
+    """Arc lengths (n) along a bead [m], and the nozzle's motion relative to the print there."""
     n = max(int(np.ceil(bead.length / _STEP)), 1) + 1
     s = np.union1d(bead.s, np.linspace(0.0, bead.length, n)) if bead.round else bead.s
     tip = np.asarray(CubicSpline(bead.s, bead.points)(s))

@@ -1,4 +1,4 @@
-"""What runs of a print taught: the section `as_run`, by which its program asks for something else than the plan."""
+"""Corrections learned from runs of a print: the section `as_run`, by which its program departs from the plan."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from planner.problem.fields import PATH, Quantity, Section, key
 
 
 class AsRunSpec(Section):
-    """By how much the program leaves the plan so that the robot keeps to it; see beadwise learn."""
+    """How far the program departs from the plan so that the robot follows the plan; see beadwise learn."""
 
     corrections: Annotated[Path, PATH] = key(
-        "corrections", "the file that beadwise learn wrote (CSV), counted from the folder of the problem file"
+        "corrections", "the file that beadwise learn wrote (CSV), path relative to the problem file's folder"
     )
     most: Annotated[float, Quantity("mm", 0.01, 5)] = key(
-        "most_mm", "by how much the program may ask for places off the plan, at most [mm]", 1
+        "most_mm", "how far places in the program may be from the plan [mm]", 1
     )

@@ -1,6 +1,6 @@
 """Curves of a STEP or IGES file as B-splines, by Open CASCADE: lines, arcs and splines that bound no face.
 
-It runs as a process of its own (`curve_files.py`): a damaged file can end it at any place, without a word.
+It runs as a separate process (`curve_files.py`), because a damaged file can crash it at any point.
 """
 
 from __future__ import annotations
@@ -26,18 +26,21 @@ from planner.base.arrays import Array
 from planner.base.isolated import answer
 from planner.problem.cad_facets import quiet_reader
 
-MEETS = 1e-3  # mm between the ends of an edge and of the next one: they are one curve
-_REPAIR = "repair it in a CAD program, and export it anew"
-# Entities of IGES (version 5.3, chapter 4) that are curves, by their numbers
+MEETS = 1e-3  # mm between an edge's end and the next one's start: up to this, they are one curve
+_REPAIR = "repair it in a CAD program, and export it again"
+# IGES entities (version 5.3, chapter 4) that are curves, by number
 _KINDS = {100: "arc", 102: "chain of curves", 104: "conic", 106: "polyline", 110: "line", 112: "spline"}
 _KINDS |= {126: "B-spline curve", 130: "offset curve"}
-_SHOWN = 6  # of them in a sentence
-_EXPORT = "export the curves themselves: edges of a body are none of their own"
+_SHOWN = 6  # curves listed in a message
+_EXPORT = "export the curves themselves: edges of a body do not count"
 
 
 def curves(request: dict[str, Any]) -> dict[str, Any]:
-    """Of curve k `k.degree`, `k.points` (n, 3) [mm], `k.weights` (n) and `k.knots`, in the file's order; `curves`, how many; or why
-    there are none. Edges of which each goes on where the one before it ends are one curve."""
+    """The curves of a file, in its order, or why there are none.
+
+    `curves` is their number; curve k has `k.degree`, `k.points` (n, 3) [mm], `k.weights` (n) and `k.knots`. Consecutive
+    edges, each of which starts where the one before ends, are one curve.
+    """
     name = Path(request["file"]).name
     reader = quiet_reader(request["file"])
     try:
@@ -49,10 +52,10 @@ def curves(request: dict[str, Any]) -> dict[str, Any]:
             return {"reason": f"{name} has curves that cannot be read: {listed}", "hint": _REPAIR}
         found, endless = _edges(reader.OneShape()) if reader.NbShapes() else ([], 0)
         if endless:
-            reason = f"{endless} of the {len(found) + endless} edges in {name} are lines without an end"
-            return {"reason": reason, "hint": "export it without lines of construction, or trim them"}
+            reason = f"{endless} of the {len(found) + endless} edges in {name} are infinite lines"
+            return {"reason": reason, "hint": "export it without construction lines, or trim them"}
         if not found:
-            return {"reason": f"{name} holds no curve that bounds no face", "hint": _EXPORT}
+            return {"reason": f"{name} holds no curves other than the edges of faces", "hint": _EXPORT}
         joined = _joined(found)
     except Standard_Failure as error:
         return {"reason": f"{name} is damaged: {error}", "hint": _REPAIR}
@@ -63,7 +66,7 @@ def curves(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _transferred(reader: Any) -> list[str]:
-    """Transfer what a file holds; curves of IGES that were damaged or have become nothing, by kind and line of the directory."""
+    """Transfer a file's contents; returns IGES curves that are damaged or gave no shape, by kind and directory line."""
     iges = isinstance(reader, IGESControl_Reader)
     lost: dict[int, Any] = {}
     checks = reader.WS().ModelCheckList(True)
@@ -82,7 +85,7 @@ def _transferred(reader: Any) -> list[str]:
 
 
 def _edges(shape: Any) -> tuple[list[Any], int]:
-    """The B-spline curves of all edges that bound no face, each in its own direction; and how many have no end."""
+    """The B-spline curves of all edges that bound no face, each in its own direction; and how many are infinite."""
     out, endless = [], 0
     walk = TopExp_Explorer(shape, TopAbs_ShapeEnum.TopAbs_EDGE, TopAbs_ShapeEnum.TopAbs_FACE)
     while walk.More():
@@ -105,9 +108,9 @@ def _edges(shape: Any) -> tuple[list[Any], int]:
 
 
 def _joined(edges: list[Any]) -> list[Any]:
-    """Edges that follow one another as one curve each; files tell hardly ever which way they run."""
+    """Join consecutive edges into one curve each; files hardly ever say which way they run."""
     out: list[Any] = []
-    alone = False  # the last curve is a single edge, and may be turned round
+    alone = False  # the last curve is a single edge, and may be reversed
     for edge in edges:
         if out and not out[-1].IsClosed():
             last = out[-1]

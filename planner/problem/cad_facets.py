@@ -1,6 +1,6 @@
 """Facets of the bodies in a STEP or IGES file, by Open CASCADE.
 
-It runs as a process of its own (`cad_files.py`): a damaged file can end it at any place, without a word.
+It runs as a separate process (`cad_files.py`), because a damaged file can crash it at any point.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from planner.base.isolated import answer
 from planner.problem.cad_files import is_iges
 
 _TURN = 0.2  # rad between neighbouring facets of a curved face
-_MERGED = 6  # decimals of a millimetre: corners on an edge that two faces share are one
-_REPAIR = "repair it in a CAD program, and export it anew"
+_MERGED = 6  # decimals [mm] to which corners are rounded to merge them along edges that two faces share
+_REPAIR = "repair it in a CAD program, and export it again"
 
 
 def quiet_reader(file: str) -> Any:
-    """The reader for a STEP or an IGES file, which prints nothing."""
+    """A reader for a STEP or an IGES file that prints nothing."""
     messages = Message.DefaultMessenger_s()
     for printer in list(messages.Printers()):
         messages.RemovePrinter(printer)

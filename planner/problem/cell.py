@@ -37,7 +37,7 @@ RobotName = Annotated[str | Path, ROBOT]
 Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
 Place = Annotated[float, Quantity("mm", -100_000, 100_000)]
 Ring = Annotated[tuple[float, float], Quantity("mm", 0, 2000, count=2)]
-MOST_JOINTS = 12  # of an arm; how many it has, its own file says
+MOST_JOINTS = 12  # of an arm; its own file says how many it has
 
 
 class CylinderSolidSpec(Section):
@@ -58,7 +58,7 @@ class BodySpec(Section):
         "mesh", "a file of its facets or from CAD (STL, PLY, OBJ, OFF, 3MF, STEP or IGES), in mm; default: none", None
     )
     centre: Position = key("centre_mm", "centre of box or cylinder, or the file's origin [mm]", (0, 0, 0))
-    rpy: Angles = key("rpy_deg", "turned about x, then y, then z of what carries it [deg]", (0, 0, 0))
+    rpy: Angles = key("rpy_deg", "turned about x, then y, then z of its carrier [deg]", (0, 0, 0))
 
     @model_validator(mode="after")
     def _one_shape(self) -> BodySpec:
@@ -72,27 +72,27 @@ class BodySpec(Section):
 
 
 class FixtureSpec(BodySpec):
-    """A body that stands in the cell, or is carried with the part: a table, a vice, a wall."""
+    """A body fixed in the cell, or carried with the part: a table, a vice, a wall."""
 
     on: Annotated[Literal["world", "part"], one_of(CARRIERS)] = key(
-        "on", "what carries it: the world, or the part, with which it then turns", "world"
+        "on", "its carrier: the world, or the part, with which it then moves", "world"
     )
 
 
-FARTHEST_KEPT_MM = 50  # as far as the verifier tells distances apart
+FARTHEST_KEPT_MM = 50  # greatest distance that the verifier resolves
 
 
 class CollisionSpec(Section):
-    """How far everything in the cell keeps apart."""
+    """Least distances between everything in the cell."""
 
     nozzle: Annotated[float, Quantity("mm", 0, FARTHEST_KEPT_MM)] = key(
         "nozzle_mm",
-        "least distance of nozzle and print head from all but what lies at the nozzle's tip [mm]; default: 2, or where no "
-        "verified plan keeps that, the first of 1, 0.5, 0.2 and 0 that one keeps",
+        "least distance of nozzle and print head from everything but what lies at the nozzle's tip [mm]; default: "
+        "2, or if no verified plan keeps that, the first of 1, 0.5, 0.2 and 0 that a plan keeps",
         2,
     )
     arm: Annotated[float, Quantity("mm", 0, FARTHEST_KEPT_MM)] = key(
-        "arm_mm", "least distance of the robots' links from each other, from fixtures, part and print [mm]", 5
+        "arm_mm", "least distance of the robots' links from each other, and from fixtures, part and print [mm]", 5
     )
 
 
@@ -123,7 +123,7 @@ class NozzleSpec(Section):
             raise refusal("must begin at height 0, the tip, and have two pairs or more", "[[0, 0.5], [5, 4], [40, 4]]")
         for i, (before, after) in enumerate(itertools.pairwise(profile), 1):
             if after[0] < before[0] or after == before:
-                raise refusal("heights must not fall, and no pair stand twice", "from the tip up", item=i)
+                raise refusal("heights must not fall, and no pair may be repeated", "from the tip up", item=i)
         return profile
 
 
@@ -136,22 +136,22 @@ class PositionerSpec(Section):
         "robot", "positioner, or arm that holds the part: its name in robots/, or a file of your own, my_robot.yaml"
     )
     origin: Position | None = key(
-        "origin_mm", "centre of the plate in the world, all its axes at 0 [mm]; default: none, but base_mm", None
+        "origin_mm", "centre of the plate in the world, with all axes at 0 [mm]; default: none, base_mm instead", None
     )
-    base: Position | None = key("base_mm", "where its base stands in the world [mm]; default: none", None)
+    base: Position | None = key("base_mm", "position of its base in the world [mm]; default: none", None)
     turn: Annotated[float, Quantity("deg", -360, 360)] = key(
-        "turn_deg", "by how much its base is turned about the vertical [deg]", 0
+        "turn_deg", "rotation of its base about the vertical [deg]", 0
     )
     free: Annotated[tuple[Text, ...], UNIQUE] = key(
         "free", "axes that the planner may move, such as [rotation]; the others are held"
     )
     held: dict[Text, Angle] = key("held_deg", "angles of held axes by name [deg]; each default 0", {})
-    held_mm: dict[Text, Place] = key("held_mm", "places of held axes that slide, by name [mm]; each default 0", {})
+    held_mm: dict[Text, Place] = key("held_mm", "positions of held linear axes, by name [mm]; each default 0", {})
     home: dict[Text, Angle] = key(
         "home_deg", "angles of free axes that the search starts from, by name [deg]; each default 0", {}
     )
     home_mm: dict[Text, Place] = key(
-        "home_mm", "places of free axes that slide, where the search starts, by name [mm]; each default 0", {}
+        "home_mm", "positions of free linear axes that the search starts from, by name [mm]; each default 0", {}
     )
     part: Position = key("part_mm", "origin of the part frame on the plate or flange [mm]", (0, 0, 0))
     part_rpy: Angles = key(
@@ -176,26 +176,26 @@ class PositionerSpec(Section):
 
 
 class CarrierSpec(Section):
-    """What carries the arm, such as a rail: its base stands at base_mm, and the arm on its tip."""
+    """The carrier of the arm, such as a rail: its base is at base_mm, and the arm on its tip."""
 
     robot: RobotName = key("robot", "its name in robots/, or a file of your own, my_rail.yaml")
     free: Annotated[tuple[Text, ...], UNIQUE] = key(
         "free", "joints that the planner may move, such as [rail]; [] for none; the others are held"
     )
-    held_mm: dict[Text, Place] = key("held_mm", "places of held joints that slide, by name [mm]; each default 0", {})
-    held_deg: dict[Text, Angle] = key("held_deg", "angles of held joints that turn, by name [deg]; each default 0", {})
+    held_mm: dict[Text, Place] = key("held_mm", "positions of held linear joints, by name [mm]; each default 0", {})
+    held_deg: dict[Text, Angle] = key("held_deg", "angles of held rotary joints, by name [deg]; each default 0", {})
     home_mm: dict[Text, Place] = key(
-        "home_mm", "where free joints that slide are before and after the print, by name [mm]; each default 0", {}
+        "home_mm", "positions of free linear joints before and after the print, by name [mm]; each default 0", {}
     )
     home_deg: dict[Text, Angle] = key(
-        "home_deg", "where free joints that turn are then, by name [deg]; each default 0", {}
+        "home_deg", "angles of free rotary joints then, by name [deg]; each default 0", {}
     )
 
 
 class JointLimitsSpec(Section):
-    """Limits of one joint, where the user knows better than the robot's own file; of one that slides in mm."""
+    """Limits of one joint, where the user knows better than the robot's own file; in mm for a linear joint."""
 
-    # a thousand turns: what a table on a slip ring does in a print
+    # a thousand turns, as many as a table on a slip ring makes in a print
     range: Annotated[tuple[float, float], Quantity("deg", -360_000, 360_000, count=2), INCREASING] | None = key(
         "range_deg", "least and greatest angle [deg]; default: the robot's", None
     )
@@ -209,16 +209,16 @@ class JointLimitsSpec(Section):
         "jerk_rad_s3", "greatest jerk [rad/s3]; default: the robot's", None
     )
     range_mm: Annotated[tuple[float, float], Quantity("mm", -100_000, 100_000, count=2), INCREASING] | None = key(
-        "range_mm", "of a joint that slides: least and greatest place [mm]; default: the robot's", None
+        "range_mm", "of a linear joint: least and greatest position [mm]; default: the robot's", None
     )
     speed_mm_s: Annotated[float, Quantity("mm/s", 0.1, 100_000)] | None = key(
-        "speed_mm_s", "of a joint that slides: greatest speed [mm/s]; default: the robot's", None
+        "speed_mm_s", "of a linear joint: greatest speed [mm/s]; default: the robot's", None
     )
     acceleration_mm_s2: Annotated[float, Quantity("mm/s2", 1, 1e7)] | None = key(
-        "acceleration_mm_s2", "of a joint that slides: greatest acceleration [mm/s2]; default: the robot's", None
+        "acceleration_mm_s2", "of a linear joint: greatest acceleration [mm/s2]; default: the robot's", None
     )
     jerk_mm_s3: Annotated[float, Quantity("mm/s3", 10, 1e10)] | None = key(
-        "jerk_mm_s3", "of a joint that slides: greatest jerk [mm/s3]; default: the robot's", None
+        "jerk_mm_s3", "of a linear joint: greatest jerk [mm/s3]; default: the robot's", None
     )
 
 
@@ -228,35 +228,39 @@ class CellSpec(Section):
     model_config = exactly_one("positioner", "bed_mm", and_of=("nozzle", "nozzles"))
 
     arm: RobotName = key("arm", "its name in robots/, or a file of your own, my_robot.yaml")
-    base: Position = key("base_mm", "base of the arm in the world, or of what carries it [mm]", (0, 0, 0))
+    base: Position = key("base_mm", "base of the arm, or of its carrier, in the world [mm]", (0, 0, 0))
     base_rpy: Angles = key(
         "base_rpy_deg",
         "that base turned about x, then y, then z of the world [deg]; [180, 0, 0] hangs the arm from a ceiling",
         (0, 0, 0),
     )
-    carrier: CarrierSpec | None = key("base", "what carries the arm, such as a rail; default: nothing, it stands", None)
-    only_nozzle: NozzleSpec | None = key("nozzle", "the nozzle on the arm's flange; default: none, but nozzles", None)
+    carrier: CarrierSpec | None = key(
+        "base", "the carrier of the arm, such as a rail; default: none, the arm's base is fixed", None
+    )
+    only_nozzle: NozzleSpec | None = key(
+        "nozzle", "the nozzle on the arm's flange; default: none, nozzles instead", None
+    )
     nozzles: dict[NozzleName, NozzleSpec] = key(
         "nozzles",
-        "several nozzles for the arm's flange, by their names in programs: each material says which is its own; "
-        "default: none, but nozzle",
+        "several nozzles for the arm's flange, by their names in programs: each material names its own; "
+        "default: none, nozzle instead",
         {},
     )
     mounted: Annotated[Literal["together", "one"], one_of(MOUNTINGS)] = key(
         "mounted",
-        "of several nozzles, what is on the flange: all of them together, or the one in use, which is exchanged at home",
+        "with several nozzles, what is on the flange: all of them together, or only the one in use, exchanged at home",
         "together",
     )
     home: Annotated[tuple[float, ...], Quantity("deg", -3600, 3600, count=(1, MOST_JOINTS))] = key(
         "home_deg", "posture of the arm before and after the print, each joint from the base on [deg]"
     )
-    positioner: PositionerSpec | None = key("positioner", "what turns the part; default: none, but a bed", None)
+    positioner: PositionerSpec | None = key("positioner", "what turns the part; default: none, a bed instead", None)
     bed: Position | None = key("bed_mm", "origin of the part frame on a fixed bed [mm]; default: none", None)
     bed_rpy: Angles = key(
         "bed_rpy_deg", "the part frame on a fixed bed turned about x, then y, then z of the world [deg]", (0, 0, 0)
     )
     fixtures: dict[Text, FixtureSpec] = key(
-        "fixtures", "what else stands in the cell, or is carried with the part, by name; default: nothing", {}
+        "fixtures", "other bodies in the cell, or carried with the part, by name; default: none", {}
     )
     limits: dict[Text, JointLimitsSpec] = key("limits", "limits of your own by joint; default: the robots'", {})
 
@@ -275,7 +279,7 @@ class CellSpec(Section):
             found = "both nozzle and nozzles are" if self.nozzles else "neither nozzle nor nozzles is"
             raise refusal(f"{found} given", "give exactly one of them", fields=["nozzle", "nozzles"])
         if not self.nozzles and "mounted" in self.model_fields_set:
-            raise refusal("mounted is of several nozzles", "leave it out, or give nozzles", fields=["mounted"])
+            raise refusal("mounted is for several nozzles", "leave it out, or give nozzles", fields=["mounted"])
         return self
 
     @model_validator(mode="after")
@@ -286,5 +290,5 @@ class CellSpec(Section):
             raise refusal(reason, "give exactly one of them", fields=["positioner", "bed_mm"])
         if self.bed is None and "bed_rpy" in self.model_fields_set:
             fields = ["positioner", "bed_rpy_deg"]
-            raise refusal("bed_rpy_deg turns a part on a bed", "on a positioner: part_rpy_deg", fields=fields)
+            raise refusal("bed_rpy_deg is for a part on a bed", "use part_rpy_deg on a positioner", fields=fields)
         return self

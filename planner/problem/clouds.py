@@ -1,6 +1,6 @@
-"""Clouds of points from files of scanners: PLY, text, NumPy; and scans of parts, which may be facets, too.
+"""Point clouds from scanners' files (PLY, text, NumPy), and scans of parts, which may be facets, too.
 
-Text has a point a line, x y z first or in columns that a header names (x, or x_mm, or x_m); between numbers stand blanks,
+Text has one point per line: x y z first, or in columns that a header names (x, or x_mm, or x_m), separated by blanks,
 commas, semicolons or tabs. Arrays are (n, 3) or wider, or x, y, z, or points.
 """
 
@@ -24,12 +24,12 @@ from planner.problem.mesh_files import GREATEST, SMALLEST, read_corners, unit_of
 from planner.problem.mesh_files import SUFFIXES as MESHES
 from planner.problem.part import UNITS, ScanSpec
 
-CLOUD_UNITS = ("mm", "m")  # that one may say a cloud has, and that a header may name
+CLOUD_UNITS = ("mm", "m")  # that may be given for a cloud, and that a header may name
 SUFFIXES = (".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz", ".npy")
 LARGEST_FILE = 500_000_000  # bytes: some ten million points of text
-FARTHEST = 1e9  # of a coordinate, in any unit
-_HEAD = 65_536  # bytes of a PLY file in which its elements are announced
-FEWEST, MOST = 200, 20_000_000  # points: fewer tell of no layer, more take more memory than there may be
+FARTHEST = 1e9  # largest coordinate, in any unit
+_HEAD = 65_536  # bytes of a PLY file that announce its elements
+FEWEST, MOST = 200, 20_000_000  # points: fewer say nothing about a layer, more may not fit into memory
 _COLUMN = re.compile(r"([xyz])(?:[_\[( ]*(mm|m)[\])]?)?", re.IGNORECASE)
 _COMMENTS = ("#", "//", "%")
 _UNREADABLE = (ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError, OSError, OverflowError,
@@ -37,20 +37,22 @@ _UNREADABLE = (ValueError, TypeError, KeyError, IndexError, AttributeError, EOFE
 
 
 def read_cloud(path: Path, unit: str | None = None) -> Array:
-    """The points (n, 3) [m] of a file in the frame that it has; unit of CLOUD_UNITS, mm where neither it nor the file says
-    one.
+    """The points (n, 3) [m] of a file, in its own frame.
 
-    Raises InputError with file and line for what cannot be read, for numbers that are not finite, for too few points or too many,
-    and for two units.
+    unit: one of CLOUD_UNITS; default: the one that the file states, else mm
+    Raises InputError with file and line for a file that cannot be read, numbers that are not finite, too few or too
+    many points, and conflicting units.
     """
     return _cloud_and_unit(path, unit, "--unit")[0]
 
 
 def _cloud_and_unit(path: Path, unit: str | None, option: str) -> tuple[Array, str | None]:
-    """As `read_cloud`, and the unit that the file itself names; option: where the unit is given."""
+    """As `read_cloud`, with the unit that the file itself states; option: the option or key that `unit` comes from."""
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
-            f"{path.suffix or 'without an ending, it'} is no cloud's ending", file=path, hint=", ".join(SUFFIXES)
+            f"{path.suffix or 'a missing ending'} is not the ending of a point cloud",
+            file=path,
+            hint=", ".join(SUFFIXES),
         )
     complain = partial(InputError, file=path)
     kind = path.suffix.lower()
@@ -62,23 +64,21 @@ def _cloud_and_unit(path: Path, unit: str | None, option: str) -> tuple[Array, s
     else:
         points, told = _text(path, complain)
     if unit is not None and told is not None and unit != told:
-        raise complain(f"its header says {told}, and {option} {unit}", hint=f"leave {option} out")
+        raise complain(f"its header says {told}, but {option} says {unit}", hint=f"leave {option} out")
     if not FEWEST <= len(points) <= MOST:
         raise complain(f"holds {len(points)} points", hint=f"{FEWEST} to {MOST:,}")
     finite = (np.abs(points) < FARTHEST).all(axis=1)
     if not finite.all():
         count, first = int((~finite).sum()), int(np.argmin(finite))
-        reason = (
-            f"{count} of its {len(points)} points are not finite, or endlessly far away, the first is number {first}"
-        )
+        reason = f"{count} of its {len(points)} points are not finite, or too far away; the first is number {first}"
         raise complain(reason, hint="leave them out")
     return points * (UNITS[unit or told or "mm"] * 1e-3), told
 
 
 def read_scan(spec: ScanSpec, where: Complaint) -> Array:
-    """Points (n, 3) [m] of a scanned part in the part frame; of a file of facets the corners of those that face upwards.
+    """Points (n, 3) [m] of a scanned part in the part frame; from facets, the corners of those that face upwards.
 
-    Raises InputError for what cannot be read, and of `where` for a scan that is too small or too large to be a part.
+    Raises InputError for a file that cannot be read, and that of `where` for a scan too small or large to be a part.
     """
     if spec.file.suffix.lower() in MESHES and not (spec.file.suffix.lower() == ".ply" and not _has_facets(spec.file)):
         known, told = unit_of(spec.file, where), None
@@ -113,17 +113,17 @@ def _has_facets(path: Path) -> bool:
 
 
 def _ply(path: Path, complain: Complaint) -> Array:
-    """Vertices of a PLY file, of points alone or of facets."""
+    """Vertices of a PLY file, whether of points alone or of facets."""
     read_bytes(path, LARGEST_FILE, complain, "thin it out")
     import trimesh
 
     try:
-        # numbers that no float holds are told below, by what they became
+        # numbers too large for a float are reported later, once they are infinite
         with path.open("rb") as stream, np.errstate(all="ignore"):
             found: Any = trimesh.load(stream, file_type="ply", process=False)
         points = np.asarray(found.vertices, dtype=np.float64)
     except _UNREADABLE as error:
-        raise complain("is no PLY file that can be read", hint="vertices with x, y and z") from error
+        raise complain("is not a readable PLY file", hint="vertices with x, y and z") from error
     if points.ndim != 2 or points.shape[1] != 3:
         raise complain("has no vertices with x, y and z")
     return points
@@ -141,14 +141,14 @@ def _arrays(path: Path, complain: Complaint) -> Array:
                 with held:
                     points = _of_archive(held)
     except (*_UNREADABLE, RuntimeError) as error:
-        raise complain("is no NumPy file of points", hint="an array (n, 3), or x, y and z") from error
+        raise complain("is not a NumPy file of points", hint="an array (n, 3), or x, y and z") from error
     if points.ndim != 2 or points.shape[1] < 3:
         raise complain(f"has an array of shape {points.shape}", hint="points are (n, 3)")
     return np.ascontiguousarray(points[:, :3])
 
 
 def _of_archive(held: Mapping[str, Any]) -> Array:
-    """The points of an archive's arrays. Raises KeyError where there are none."""
+    """The points of an archive's arrays. Raises KeyError if there are none."""
     if all(name in held for name in "xyz"):
         return np.stack([np.asarray(held[name], dtype=np.float64).ravel() for name in "xyz"], axis=1)
     name = next((each for each in ("points", "xyz", *held) if each in held), None)
@@ -158,19 +158,19 @@ def _of_archive(held: Mapping[str, Any]) -> Array:
 
 
 def _text(path: Path, complain: Complaint) -> tuple[Array, str | None]:
-    """The points of a table, and the unit that its header names."""
+    """The points of a table, and the unit that its header states."""
     lines = read_text(path, LARGEST_FILE, complain)
     rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith(_COMMENTS)]
     if not rows:
         raise complain("holds no points")
     mark = next((each for each in (";", ",", "\t") if each in rows[0][1]), None)
-    if len(rows) > 1 and rows[0][1].strip().isdecimal():  # PTS files begin with how many points there are
+    if len(rows) > 1 and rows[0][1].strip().isdecimal():  # PTS files begin with the number of points
         rows = rows[1:]
         mark = next((each for each in (";", ",", "\t") if each in rows[0][1]), None)
     columns, units = _columns(rows[0][1], mark)
     if len(units) > 1:
         raise complain(
-            "names x, y and z in different units", line=rows[0][0], hint="one for all, such as x_mm, y_mm, z_mm"
+            "names x, y and z in different units", line=rows[0][0], hint="use one unit, such as x_mm, y_mm, z_mm"
         )
     unit = next(iter(units), None)
     if columns is not None:
@@ -186,7 +186,7 @@ def _text(path: Path, complain: Complaint) -> tuple[Array, str | None]:
 
 
 def _columns(head: str, mark: str | None) -> tuple[list[int] | None, set[str | None]]:
-    """Where x, y and z stand by a header, and their units; None for a line of numbers."""
+    """The columns of x, y and z according to a header, and their units; None for a line of numbers."""
     words = [word.strip(" \t\"'") for word in head.split(mark)]
     found: dict[str, tuple[int, str | None]] = {}
     for i, word in enumerate(words):
@@ -199,13 +199,13 @@ def _columns(head: str, mark: str | None) -> tuple[list[int] | None, set[str | N
 
 
 def _wrong_row(rows: Sequence[tuple[int, str]], mark: str | None, at: Sequence[int], path: Path) -> InputError:
-    """The error of the first row that has no three numbers."""
+    """The error of the first row without three numbers."""
     for line, text in rows:
         words = text.split(mark)
         try:
             for k in at:
                 float(words[k])
         except (ValueError, IndexError):
-            reason = f"has no three numbers: {text.strip()[:40]!r}"
+            reason = f"does not hold three numbers: {text.strip()[:40]!r}"
             return InputError(reason, file=path, line=line, hint="x y z, or a header that names x, y and z")
-    return InputError("is no table of numbers", file=path)
+    return InputError("is not a table of numbers", file=path)

@@ -18,11 +18,11 @@ _CURVES = "planner.problem.cad_curves"
 
 
 def read_curves(path: Path, where: Complaint) -> tuple[CurveSpec, ...]:
-    """The curves of a file, in its order: `{"curves": [{"degree": 2, "points_mm": [...]}, ...]}`, or those of STEP or IGES that
-    bound no face.
+    """The curves of a file, in its order.
 
-    Raises InputError with the file's line for what is wrong in it, and made by `where(reason, hint=...)` for a file that
-    cannot be read.
+    The file is JSON, `{"curves": [{"degree": 2, "points_mm": [...]}, ...]}`, or STEP or IGES, of which curves that
+    bound no face are taken. Raises InputError with the file's line for a mistake in it, and the one made by
+    `where(reason, hint=...)` for a file that cannot be read.
     """
     if path.suffix.lower() in (*STEP_ENDINGS, *IGES_ENDINGS):
         return _listed(_of_cad(path, where), ValueSources(path, {}))
@@ -33,7 +33,7 @@ def read_curves(path: Path, where: Complaint) -> tuple[CurveSpec, ...]:
     if len(raw) > LARGEST_FILE:
         raise where(f"{path.name} has {len(raw)} bytes", hint=f"at most {LARGEST_FILE}")
     try:
-        text = raw.decode("utf-8-sig").replace("\t", " ")  # JSON is YAML but for tabs
+        text = raw.decode("utf-8-sig").replace("\t", " ")  # JSON is YAML, except for tabs
     except UnicodeDecodeError:
         raise where(f"{path.name} is not text (UTF-8)") from None
 
@@ -56,7 +56,7 @@ def _listed(data: dict[str, Any], source: ValueSources) -> tuple[CurveSpec, ...]
 
 
 def _of_cad(path: Path, where: Complaint) -> dict[str, Any]:
-    """What stands in a STEP or IGES file, as a file of curves would have it."""
+    """The contents of a STEP or IGES file, in the form of a JSON file of curves."""
     check_step(path, where)
     found = asked(_CURVES, {"file": str(path.resolve())}, path.name, where)
     curves = []
@@ -66,7 +66,7 @@ def _of_cad(path: Path, where: Complaint) -> dict[str, Any]:
         if far > FARTHEST_MM:
             raise where(
                 f"curve {k + 1} of {found['curves']} in {path.name} has a coordinate of {far:g} mm",
-                hint=f"at most {FARTHEST_MM:g}: is it a line of construction, or a file in a wrong unit?",
+                hint=f"at most {FARTHEST_MM:g}: is it a construction line, or is the file in the wrong unit?",
             )
         curve = {"degree": degree, "points_mm": tuple(map(tuple, points))}
         curves.append(curve | {"weights": tuple(weights), "knots": tuple(knots)})

@@ -1,4 +1,4 @@
-"""A problem in words, for its reader: what a file says, and the examples that ship."""
+"""A problem in words, for its reader: what a file says, and the shipped examples."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 MODELINE = "# yaml-language-server:"  # for editors
 _SENTENCE_END = re.compile(r"\.(?= [A-Z0-9]|$)")  # not the one of "et al." within a sentence
 _GAP, _BELOW = "  ", "    "
-NARROWEST = 40  # characters: where less is left beside the other columns, the text stands below them
+NARROWEST = 40  # characters: if less is left next to the other columns, the text goes below them
 
-LONGEST_LIST = 6  # values of a list that are written out
+LONGEST_LIST = 6  # values: longer lists are not written out
 
 
 class Shipped(NamedTuple):
-    """One line: the name, the arm, what holds the part, what is printed on or from, and a sentence with its source."""
+    """A shipped problem in a line: name, arm, what holds the part, what is printed on or from, and what it is."""
 
     name: str
     arm: str
@@ -42,7 +42,7 @@ class Shipped(NamedTuple):
 
 
 def shipped() -> list[Shipped]:
-    """What ships, in order of names."""
+    """The shipped problems, sorted by name."""
     return [_of(load_problem(name)) for name in shipped_problems()]
 
 
@@ -53,7 +53,7 @@ def _of(problem: Problem) -> Shipped:
 
 
 def part_words(problem: Problem) -> str:
-    """What is printed on, in a word; what it is printed from where that is a body of its own."""
+    """The body printed on, in a word; or the source, if that is a body of its own."""
     if problem.part is not None:
         return problem.part.body
     source = problem.layers.source
@@ -62,7 +62,7 @@ def part_words(problem: Problem) -> str:
 
 
 def title_of(name: str) -> str:
-    """The first sentence of a shipped problem's first comment: what it is, with the paper that it is from."""
+    """The first sentence of a shipped problem's first comment: what it is, with the paper it comes from."""
     lines = (PROBLEMS / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
     comment = itertools.takewhile(lambda line: line.startswith("# "), lines)
     said = " ".join(line.removeprefix("# ") for line in comment if not line.startswith(MODELINE))
@@ -71,7 +71,7 @@ def title_of(name: str) -> str:
 
 
 def print_shipped() -> None:
-    """Print one line for each: to a terminal with a heading, wrapped to its width; else plain, the name first."""
+    """Print a line per shipped problem: on a terminal, with a heading and wrapped to its width; else plain."""
     rows = shipped()
     if not sys.stdout.isatty():
         print("\n".join(columns(rows, None)))
@@ -82,9 +82,9 @@ def print_shipped() -> None:
 
 
 def columns(rows: Sequence[Sequence[str]], width: int | None) -> list[str]:
-    """Lines of text with the columns below each other.
+    """Rows as lines of text with aligned columns.
 
-    With a width the last column is wrapped to it, below the others where it would be narrow.
+    With a width, the last column is wrapped to it, and goes below the others if it would be too narrow.
     """
     widths = [max(map(len, column)) for column in zip(*(row[:-1] for row in rows), strict=True)]
     indent = sum(widths) + len(_GAP) * len(widths)
@@ -102,9 +102,9 @@ def columns(rows: Sequence[Sequence[str]], width: int | None) -> list[str]:
 def lines_of(
     problem: Problem, cell: Cell, toolpath: Toolpath | None, first_layer: bool, expected: str | None = None
 ) -> list[str]:
-    """What `planner.check` prints of a problem without mistakes; the toolpath may be that of the first layer alone.
+    """What `planner.check` prints about a problem without mistakes; the toolpath may be that of the first layer alone.
 
-    expected: what there is to plan and what that takes, in words
+    expected: what there is to plan, and how much time and memory that takes, in words
     """
     rows = {
         "arm": _robot(cell.arm_robot.name, problem.cell.arm),
@@ -130,7 +130,7 @@ def lines_of(
 
 
 def words(section: Section) -> str:
-    """What a section says, by its keys in the file's units: those that were given."""
+    """A section in words: the keys that were given, in the file's units."""
     return "; ".join(_said(section))
 
 
@@ -198,7 +198,7 @@ def _held_by(problem: Problem, cell: Cell) -> str:
 
 def _beads(problem: Problem, toolpath: Toolpath | None, first_layer: bool) -> str:
     if toolpath is None:
-        return "not laid here, for that takes seconds: --toolpath"
+        return "not worked out here, since that takes seconds: --toolpath"
     n, length = len(toolpath.beads), toolpath.length
     speeds = [bead.commanded(problem.process.speed) for bead in toolpath.beads]
     seconds = sum(bead.length / speed for bead, speed in zip(toolpath.beads, speeds, strict=True))
@@ -206,7 +206,7 @@ def _beads(problem: Problem, toolpath: Toolpath | None, first_layer: bool) -> st
     at = " to ".join(f"{speed * 1e3:.3g}" for speed in sorted({min(speeds), max(speeds)}))
     size = f"{n} bead{'' if n == 1 else 's'}, {length:.2f} m, {time} at {at} mm/s"
     if first_layer:
-        return f"{size}, of the first layer alone (all of them: --toolpath)"
+        return f"{size}, in the first layer alone (all layers: --toolpath)"
     return f"{size}, in {toolpath.layers} layer{'' if toolpath.layers == 1 else 's'}"
 
 
@@ -226,5 +226,5 @@ def _notes(cell: Cell, toolpath: Toolpath | None) -> list[str]:
 
 
 def _again(problem: Problem) -> str:
-    """How the problem is named on the command line: as it ships, or by its file."""
+    """How to name the problem on the command line: by name if it ships, else by its file."""
     return problem.name if problem.file.parent == PROBLEMS else str(problem.file)

@@ -12,7 +12,7 @@ from planner.problem.part import Unit, unit_key
 from planner.problem.process import MaterialName, material_key
 from planner.problem.yaml_file import describe
 
-# Keys of layers.source, each of which names a source: only one may be given.
+# Keys of layers.source that name a source: only one may be given.
 SOURCE_NAMES = ("svg", "dxf", "pattern", "curves", "nurbs", "waypoints", "gcode", "mesh", "aerofoil", "naca", "faces")
 
 BLEND_MM = 6  # two facets of the published dome; measured in benchmarks.orientation
@@ -22,28 +22,28 @@ PATTERN_NAMES: tuple[str, ...] = get_args(PatternName)
 ProjectName = Literal["z", "normal", "direction"]
 PROJECT_NAMES: tuple[str, ...] = get_args(ProjectName)
 
-HIGHEST_DEGREE = 25  # as Open CASCADE; CAD programs that approximate write 14
+HIGHEST_DEGREE = 25  # as in Open CASCADE; CAD programs that approximate curves write 14
 FARTHEST_MM = 100_000.0  # of a control point's coordinates
 MOST_POINTS = 5000  # of a curve
-LIGHTEST, HEAVIEST = 1e-3, 1e3  # weights: beyond, a curve is nothing but its heaviest points
+LIGHTEST, HEAVIEST = 1e-3, 1e3  # weights: beyond these, only its heaviest points shape a curve
 
 
 Crumbs = Annotated[float, Quantity("", 0, 1)]
 
 
 def crumbs_key(what: str) -> Crumbs:
-    """The field of how much of a source may be left out."""
+    """The field for how much of a source may be left out."""
     field: Crumbs = key(
-        "leave_out_share", f"share of {what} that may be left out; if it were more, the print is refused", 0.01
+        "leave_out_share", f"share of {what} that may be left out; with more, the print is refused", 0.01
     )
     return field
 
 
-_CURVES = "the length, off the part, at its walls and edges, or too short for a bead,"
+_CURVES = "the length (off the part, at its walls and edges, or too short for a bead)"
 
 
 class SourceSection(Section):
-    """A source of toolpaths; refused where another source is named beside it."""
+    """A source of toolpaths; refused if another source is named as well."""
 
     @model_validator(mode="before")
     @classmethod
@@ -60,7 +60,7 @@ NARROWEST_MM, WIDEST_MM = 0.1, 15_000.0  # of a drawing
 class SvgSpec(SourceSection):
     """A drawing whose lines become beads."""
 
-    svg: Annotated[Path, PATH] = key("svg", "the drawing, counted from the folder of the problem file")
+    svg: Annotated[Path, PATH] = key("svg", "the drawing, path relative to the problem file's folder")
     width: Annotated[float, Quantity("mm", NARROWEST_MM, WIDEST_MM)] = key(
         "width_mm", "width of the drawing on the part [mm]"
     )
@@ -78,16 +78,16 @@ def _some_names(value: Any) -> Any:
 class DxfSpec(SourceSection):
     """A drawing in a DXF file whose lines become beads."""
 
-    dxf: Annotated[Path, PATH] = key("dxf", "the drawing (DXF), counted from the folder of the problem file")
+    dxf: Annotated[Path, PATH] = key("dxf", "the drawing (DXF), path relative to the problem file's folder")
     unit: Unit | None = unit_key()
     width: Annotated[float, Quantity("mm", NARROWEST_MM, WIDEST_MM)] | None = key(
         "width_mm", "width of the drawing on the part [mm]; default: as it is drawn", None
     )
     layers: Annotated[tuple[str, ...] | None, BeforeValidator(_some_names)] = key(
-        "layers", "names of the drawing's layers that are printed; default: all that are on", None
+        "layers", "names of the drawing's layers to print; default: all that are on", None
     )
     join: Annotated[float, Quantity("mm", 0, 10)] = key(
-        "join_mm", "lines of a layer whose ends are no farther apart are one [mm]", 0.01
+        "join_mm", "lines of a layer whose ends are no farther apart are joined [mm]", 0.01
     )
     crumbs: Crumbs = crumbs_key(_CURVES)
 
@@ -100,18 +100,18 @@ class PatternSpec(SourceSection):
         "cell_mm", "width of a cell from wall to wall, or distance between lines [mm]"
     )
     size: Annotated[tuple[float, float], Quantity("mm", 0.1, 15_000, count=2)] = key(
-        "size_mm", "what the pattern covers at most, in x and y [mm]"
+        "size_mm", "greatest extent of the pattern, in x and y [mm]"
     )
     outline: Annotated[Literal["rectangle", "ellipse"], one_of(("rectangle", "ellipse"))] = key(
-        "outline", "shape of what it covers: rectangle or ellipse", "rectangle"
+        "outline", "shape of the area it covers: rectangle or ellipse", "rectangle"
     )
     crumbs: Crumbs = crumbs_key(_CURVES)
 
 
 class WrappedLayersSpec(Section):
-    """What is printed, and how often: a drawing wrapped around the part."""
+    """Layers of a drawing wrapped around the part."""
 
-    bodies: ClassVar[tuple[str, ...]] = ("cylinder",)  # what they can be laid on
+    bodies: ClassVar[tuple[str, ...]] = ("cylinder",)  # bodies they can be laid on
 
     wrap: Annotated[Literal["cylinder"], one_of(("cylinder",))] = key("wrap", "the surface they are laid on")
     count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = key("count", "number of layers")
@@ -132,7 +132,7 @@ class WrappedDxfSpec(WrappedLayersSpec):
 
 
 class OnPartSpec(Section):
-    """How plane curves fall onto the part."""
+    """How plane curves are placed above the part."""
 
     centre: Annotated[tuple[float, float], Quantity("mm", -100_000, 100_000, count=2)] = key(
         "centre_mm", "where the middle of the curves lies, x and y of the part frame [mm]", (0, 0)
@@ -143,17 +143,18 @@ class OnPartSpec(Section):
 
 
 class ProjectedLayersSpec(OnPartSpec):
-    """What is printed, and how often: plane curves projected onto the part."""
+    """Layers of plane curves projected onto the part."""
 
     bodies: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation", "mesh", "scan", "step")
-    exact: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation")  # for other ways than z
+    exact: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation")  # for projections other than z
 
     project: Annotated[ProjectName, one_of(PROJECT_NAMES)] = key(
         "project",
-        "how curves fall onto the part: along z, along its normals (each point to the nearest place), or in a direction",
+        "how curves are projected onto the part: along z, along its normals (each point to the nearest place), or in a "
+        "direction",
     )
     direction: Annotated[Vector, Quantity("", -1000, 1000, count=3), UNIT_VECTOR] | None = key(
-        "direction", "in which they fall, with project: direction; not upwards; default: none", None
+        "direction", "direction of the projection, with project: direction; not upwards; default: none", None
     )
     offset: Annotated[Literal["normal", "z"], one_of(("normal", "z"))] = key(
         "offset", "where the next layer lies: along the surface's normal, or along z", "normal"
@@ -163,8 +164,8 @@ class ProjectedLayersSpec(OnPartSpec):
     material: MaterialName | None = material_key("all beads")
     normals: Annotated[Literal["smooth", "facets"], one_of(("smooth", "facets"))] = key(
         "normals",
-        "what the nozzle is normal to: a smooth surface through the facets of a mesh, or the facets themselves, between "
-        "which it turns over blend_mm",
+        "what the nozzle is normal to: a smooth surface through the facets of a mesh, or the facets themselves, "
+        "between which it turns over blend_mm",
         "smooth",
     )
     blend: Annotated[float, Quantity("mm", 0.1, 100)] | None = key(
@@ -178,23 +179,27 @@ class ProjectedLayersSpec(OnPartSpec):
     def _one_way_to_fall(self) -> ProjectedLayersSpec:
         if (self.project == "direction") != (self.direction is not None):
             reason = (
-                "project is direction, and there is none" if self.direction is None else f"project is {self.project}"
+                "project is direction, but no direction is given"
+                if self.direction is None
+                else f"project is {self.project}"
             )
             hint = "give direction, for example [0.3, 0, -1]" if self.direction is None else "leave out direction"
             raise refusal(reason, hint, fields=["direction", "project"])
         if self.direction is not None and self.direction[2] > 0.0:
-            raise refusal("points upwards, and the part is seen from above", "a direction into it", item="direction")
+            raise refusal(
+                "points upwards, but the part is seen from above", "give a direction into the part", item="direction"
+            )
         return self
 
     @model_validator(mode="after")
     def _blend_between_facets(self) -> ProjectedLayersSpec:
         if self.blend is not None and self.normals == "smooth":
-            raise refusal("normals are smooth", "leave out blend_mm, or normals: facets", item="blend_mm")
+            raise refusal("normals are smooth", "leave out blend_mm, or set normals: facets", item="blend_mm")
         return self
 
     @property
     def facing(self) -> float | None:
-        """Over how long a way the nozzle turns from facet to facet [m]; None where it follows the smooth surface."""
+        """Length over which the nozzle turns from facet to facet [m]; None if it follows the smooth surface."""
         if self.normals == "smooth":
             return None
         return BLEND_MM * 1e-3 if self.blend is None else self.blend
@@ -246,7 +251,7 @@ class CurveSpec(Section):
     )
     knots: Annotated[tuple[float, ...], Quantity("", -1e6, 1e6, count=(1, 2 * MOST_POINTS))] | None = key(
         "knots",
-        "as many as points + degree + 1, the first and the last degree + 1 of them equal; default: evenly spaced",
+        "points + degree + 1 of them, the first degree + 1 equal, and the last; default: evenly spaced",
         None,
     )
 
@@ -254,7 +259,7 @@ class CurveSpec(Section):
     def _alike_points(self) -> CurveSpec:
         odd = next((i for i, point in enumerate(self.points) if len(point) != len(self.points[0])), None)
         if odd is not None:
-            reason = f"point {odd + 1} has {len(self.points[odd])} numbers, and point 1 has {len(self.points[0])}"
+            reason = f"point {odd + 1} has {len(self.points[odd])} numbers, but point 1 has {len(self.points[0])}"
             raise refusal(reason, "x and y for all, or x, y and z", fields=["points_mm"])
         return self
 
@@ -262,7 +267,7 @@ class CurveSpec(Section):
     def _enough_points(self) -> CurveSpec:
         least = self.degree + 1
         if len(self.points) < least:
-            reason = f"a curve of degree {self.degree} has at least {least} control points, not {len(self.points)}"
+            reason = f"a curve of degree {self.degree} needs at least {least} control points, not {len(self.points)}"
             raise refusal(reason, "add points_mm, or choose a lower degree", fields=["points_mm"])
         if self.weights is not None and len(self.weights) != len(self.points):
             reason = f"{len(self.weights)} weights for {len(self.points)} control points"
@@ -291,7 +296,7 @@ class CurveSpec(Section):
         inner = knots[p + 1 : -p - 1]
         for knot in inner:
             if inner.count(knot) > p or knot in (knots[0], knots[-1]):
-                reason = f"knot {knot:g} stands in the list {knots.count(knot)} times, which breaks the curve apart"
+                reason = f"knot {knot:g} appears {knots.count(knot)} times in the list, which breaks the curve apart"
                 hint = f"at most {p} times inside, {p + 1} times at the ends; or make two curves of it"
                 raise refusal(reason, hint, fields=["knots"])
         return self
@@ -313,7 +318,7 @@ class CurvesSpec(SourceSection):
 
 
 class CurveListSpec(Section):
-    """What stands in a file of NURBS curves."""
+    """The contents of a file of NURBS curves."""
 
     curves: SomeCurves = key("curves", "NURBS curves, each with degree, points_mm and, if wanted, weights and knots")
 
@@ -323,8 +328,8 @@ class NurbsSpec(SourceSection):
 
     nurbs: Annotated[Path, PATH] = key(
         "nurbs",
-        "file of curves, counted from the folder of the problem file: JSON with a list `curves` of NURBS curves; or STEP or "
-        "IGES, whose lines, arcs and splines that bound no face are taken",
+        "file of curves, path relative to the problem file's folder: JSON with a list `curves` of NURBS curves; or "
+        "STEP or IGES, whose lines, arcs and splines that bound no face are taken",
     )
     crumbs: Crumbs = crumbs_key(_CURVES)
 

@@ -1,7 +1,7 @@
-"""The kinds of value that a problem file holds, and what a model says of its fields.
+"""The kinds of value in a problem file, and descriptions of a model's fields.
 
-Millimetres and degrees become SI here and nowhere else. Each kind refuses with a PydanticCustomError whose context
-carries the hint, and the item of a list where it is one.
+Millimetres and degrees become SI here and nowhere else. Each kind refuses values with a PydanticCustomError whose
+context carries the hint, and in a list the index of the item.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from planner.base.errors import InputError, nearest_name
 from planner.base.rapid_names import LONGEST_NAME, RAPID_WORDS
 from planner.problem.yaml_file import ValueSources, describe, parse_yaml, shorten
 
-LONGEST_TEXT = 1000  # characters; a path of a file, or a name in words
+LONGEST_TEXT = 1000  # characters, of a file's path or a name in words
 Vector = tuple[float, float, float]
 
 Model = type[BaseModel]
@@ -53,16 +53,16 @@ _TO_SI: dict[str, Callable[[float], float]] = {
 
 
 def refusal(reason: str, hint: str | None = None, **context: Any) -> PydanticCustomError:
-    """Return the error of a field: reason and hint for the user; `item` or `fields` say where below it."""
+    """Return the error of a field: reason and hint for the user; `item` or `fields` say where within it."""
     return PydanticCustomError("problem", "{reason}", {"reason": reason, "hint": hint, **context})
 
 
 class InMemory:
-    """What only Python can give for a field, and no file; models take it as it is."""
+    """A value of a field that only Python can give, not a file; models take it as it is."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Validate by its class alone."""
+        """Validate by class alone."""
         return core_schema.is_instance_schema(cls)
 
 
@@ -79,8 +79,8 @@ Truth = Annotated[bool, BeforeValidator(_truth)]
 class Quantity:
     """Annotation of a number, or a list of `count` numbers, in `unit` within [low, high]; becomes SI.
 
-    `count` is how many, or the least and the greatest number of them.
-    `whole` numbers stay integers. A text, a boolean, NaN and infinity are no numbers.
+    `count` is how many there are, or the least and the greatest number of them.
+    `whole` numbers stay integers. Strings, booleans, NaN and infinity are refused.
     """
 
     unit: str
@@ -94,7 +94,7 @@ class Quantity:
         return core_schema.no_info_plain_validator_function(self.to_si)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Describe the value as it stands in the file."""
+        """Describe the value as written in the file."""
         kind = "integer" if self.whole else "number"
         number: JsonSchemaValue = {"type": kind, "minimum": self.low, "maximum": self.high}
         if self.count is None:
@@ -125,7 +125,7 @@ class Quantity:
         return f"{least if least == most else f'{least} to {most}'} numbers, each {span}"
 
     def to_si(self, value: Any) -> Any:
-        """Return the value (or the tuple of them) in SI units; raises the refusal for anything else."""
+        """Return the value (or the tuple of them) in SI units; raises a refusal for anything else."""
         if self.count is None:
             return self._number(value, {}, "")
         least, most = self._counts
@@ -137,7 +137,7 @@ class Quantity:
         return tuple(self._number(v, {"item": i}, f"number {i + 1} ") for i, v in enumerate(value))
 
     def from_si(self, value: Any) -> Any:
-        """Return a value in SI units, or the tuple of them, as it would stand in the file."""
+        """Return a value in SI units, or a tuple of them, as written in the file."""
         if isinstance(value, tuple):
             return tuple(self.from_si(each) for each in value)
         return value if self.whole else value / _TO_SI[self.unit](1.0)
@@ -162,33 +162,33 @@ def _figure(value: float) -> str:
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise refusal(f"must be a name, not {describe(value)}", "quote it if it is a text")
+        raise refusal(f"must be a name, not {describe(value)}", "quote it if it is text")
     if not value.strip() or not value.isprintable() or len(value) > LONGEST_TEXT:
         raise refusal(f"must be a name, not {describe(value)}")
     return value
 
 
 def identifier(value: Any) -> str:
-    """A name that controllers take, too. Raises PydanticCustomError for any other value."""
+    """A name that controllers accept, too. Raises PydanticCustomError for any other value."""
     text = _text(value)
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", text) or len(text) > LONGEST_NAME:
         reason = f"{shorten(text)!r} cannot be a name in RAPID"
         raise refusal(reason, f"a letter, then letters, digits or _, at most {LONGEST_NAME} characters in all")
     if text.lower() in RAPID_WORDS:
-        raise refusal(f"{text!r} is a word of RAPID itself", f"for example my_{text}"[:LONGEST_NAME])
+        raise refusal(f"{text!r} is a reserved word of RAPID", f"for example my_{text}"[:LONGEST_NAME])
     return text
 
 
 def identifier_like(text: str, ending: str = "") -> str:
-    """An identifier that is as near to a text as may be, and ends so."""
+    """An identifier as close to a text as possible, with `ending` at its end."""
     name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_")
-    taken = RAPID_WORDS | {"null"}  # which YAML takes for nothing
+    taken = RAPID_WORDS | {"null"}  # which YAML reads as no value
     usable = name[:1].isalpha() and (name + ending).lower() not in taken
     return (name if usable else f"print_{name}")[: LONGEST_NAME - len(ending)].rstrip("_") + ending
 
 
 def _beside_the_problem(value: Any, info: ValidationInfo) -> Path:
-    """A path in a problem file counts from the folder of that file."""
+    """A path in a problem file, which is relative to the folder of that file."""
     source = cast(ValueSources, info.context)
     return source.file.parent / _text(value)
 
@@ -198,29 +198,29 @@ def _file_or_arrays(value: Any, info: ValidationInfo) -> Any:
 
 
 def _robot(value: Any, info: ValidationInfo) -> str | Path:
-    """A robot that ships by its name, or the user's own by its file."""
+    """A shipped robot, by its name, or the user's own, by its file."""
     text = _text(value)
     return _beside_the_problem(text, info) if text.endswith((".yaml", ".yml")) else text
 
 
 @dataclass(frozen=True)
 class Form(BeforeValidator):
-    """A check of a text, and how an editor knows the same: `schema` joins the field's JSON schema."""
+    """A check of a string, and the same for editors: `schema` is added to the field's JSON schema."""
 
     schema: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The words that may stand there; none where it may be any."""
+        """The words allowed there; empty if any are."""
         return tuple(self.schema.get("enum", ()))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Describe the text as it stands in the file."""
+        """Describe the string as written in the file."""
         return {**handler(schema), **self.schema}
 
 
 def one_of(names: Sequence[str]) -> Form:
-    """Accept one of the names only, and suggest the nearest."""
+    """Accept only one of the names, and otherwise suggest the nearest."""
 
     def check(value: Any) -> str:
         if isinstance(value, str) and value in names:
@@ -235,10 +235,9 @@ def one_of(names: Sequence[str]) -> Form:
 
 
 def exactly_one(*keys: str, and_of: tuple[str, ...] = ()) -> ConfigDict:
-    """The configuration of a section in which exactly one of some keys stands, and one of others, for its JSON schema to
-    say so.
+    """The configuration by which a section's JSON schema asks for exactly one of some keys, and one of others.
 
-    Its validators refuse all else, in words.
+    Its validators refuse anything else, with a message.
     """
     first, *more = ({"oneOf": [{"required": [name]} for name in group]} for group in (keys, and_of) if group)
     return ConfigDict(json_schema_extra=cast(Any, first | ({"allOf": more} if more else {})))
@@ -247,7 +246,7 @@ def exactly_one(*keys: str, and_of: tuple[str, ...] = ()) -> ConfigDict:
 def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise refusal(f"{name!r} stands in the list twice", "name each once", item=i)
+            raise refusal(f"{name!r} appears twice in the list", "name each once", item=i)
     return names
 
 
@@ -280,17 +279,17 @@ FilamentDiameter = Annotated[float, Quantity("mm", *FILAMENTS_MM)]
 
 
 def key(alias: str, text: str, default: Any = ...) -> Any:
-    """A field by its key in the file; `default` is in the file's unit and goes through the same validation."""
+    """A field with its key in the file; `default` is in the file's unit and goes through the same validation."""
     if default is ...:
         return Field(alias=alias, description=text)
     return Field(default, alias=alias, description=f"{text}; default {default}" if default or default == 0 else text)
 
 
 class Section(BaseModel):
-    """A section of the problem file: frozen, and no key that is not known."""
+    """A section of the problem file: frozen, without unknown keys."""
 
-    # The whole problem's schema is made once, with the first problem; made as they are read, sections within sections
-    # would have theirs several times, and every command takes a tenth of a second longer.
+    # The whole problem's schema is built once, with the first problem. Built with each class, schemas of sections
+    # within sections would be built several times, and every command would take a tenth of a second longer.
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True, defer_build=True)
 
 
@@ -298,13 +297,13 @@ class Section(BaseModel):
 class Described:
     """One field.
 
-    key       as it stands in the file
-    text      what it is; its unit in brackets, its default at the end
-    shape     "value", "list" (of values or sections) or "names" (sections or values by names of the user's own)
+    key       as in the file
+    text      its description, with the unit in brackets and the default at the end
+    shape     "value", "list" (of values or sections) or "names" (sections or values by names that the user chooses)
     quantity  of a number, or a list of numbers; else None
     choices   of a word; else empty
-    sections  the models that may stand there; none for a value
-    types     what else may stand there: str, Path, bool, int
+    sections  the models allowed there; empty for a value
+    types     other types allowed there: str, Path, bool, int
     """
 
     key: str
@@ -319,11 +318,11 @@ class Described:
 
     @property
     def unit(self) -> str:
-        """Unit of a number in the file; empty where it has none."""
+        """Unit of a number in the file; empty if it has none."""
         return "" if self.quantity is None else self.quantity.unit
 
     def shown(self, value: Any) -> Any:
-        """A validated value as it would stand in the file."""
+        """A validated value as written in the file."""
         if self.quantity is None or value is None:
             return value
         if self.shape == "names":
@@ -354,7 +353,7 @@ def _field(name: str, field: FieldInfo) -> Described:
 
 
 def _parts(annotation: Any, shape: str) -> Iterator[tuple[str, Any]]:
-    """Quantities, models, other types and choices in an annotation, each with what it stands in."""
+    """Quantities, models, other types and choices in an annotation, each with the shape that it is in."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         known = [mark for mark in inner[1:] if isinstance(mark, Quantity)]
@@ -389,9 +388,9 @@ def in_words(error: PydanticCustomError) -> str:
 
 
 def read_value(one: Described, text: str) -> Any:
-    """A value of a field from a text as it would stand in the file; of a list of numbers the brackets may be missing.
+    """A field's value from a text as in the file; a list of numbers may lack its brackets.
 
-    Raises ValueError, in words, for one that the field does not take.
+    Raises ValueError, in words, for a value that the field does not accept.
     """
     lists = one.quantity is not None and one.quantity.count is not None
     if lists and not text.startswith("["):

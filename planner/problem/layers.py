@@ -1,4 +1,4 @@
-"""What is printed: the kinds of the section `layers` of the problem file, told apart by their keys."""
+"""What to print: the kinds of the section `layers` of the problem file, told apart by their keys."""
 
 from __future__ import annotations
 
@@ -73,16 +73,16 @@ SHARE_NAMES: tuple[str, ...] = get_args(ShareName)
 
 PASSES = ("joined", "apart")
 METHODS = ("curved", "planar")
-_POINTS = "file of the section's points, counted from the folder of the problem file"
+_POINTS = "file of the section's points, path relative to the problem file's folder"
 
-_A_PATH = {"type": "string", "format": "path"}  # what a file may have there
-_LEAST = 0.5  # of height_mm: thinner layers press the nozzle into those beneath
+_A_PATH = {"type": "string", "format": "path"}  # all that a file can hold there
+_LEAST = 0.5  # × height_mm: thinner layers press the nozzle into those beneath
 
 
 class FacesSpec(SourceSection):
-    """Faces that are covered with beads at a distance from each other."""
+    """Faces to cover with beads at a given spacing."""
 
-    faces: Faces = key("faces", f"the faces that are covered: {ANY_FACES}; of those of part.step")
+    faces: Faces = key("faces", f"the faces to cover, out of those of part.step: {ANY_FACES}")
     spacing: Annotated[float, Quantity("mm", 0.1, 1000)] = key(
         "spacing_mm", "distance between samples of a face, and between neighbouring rows [mm]"
     )
@@ -94,17 +94,18 @@ class FacesSpec(SourceSection):
     )
     direction: Annotated[DirectionName, one_of(DIRECTION_NAMES)] | None = key(
         "direction",
-        "parameter of a face along which samples stand in rows: u or v; default: where the way crosses itself, or is cut, less",
+        "face parameter along which samples form rows: u or v; default: the one whose path crosses itself, or is "
+        "cut, less often",
         None,
     )
     weight: Annotated[float, Quantity("", 0, 100)] | None = key(
-        "weight", "of weighted_greedy: distances between samples that leaving a row costs besides; default: 1", None
+        "weight", "with weighted_greedy, extra cost of leaving a row, in distances between samples; default: 1", None
     )
     start: Position | None = key(
         "start_mm", "place on the part near which the first bead starts [mm]; default: the first sample", None
     )
     tolerance: Annotated[float, Quantity("mm", 1e-6, 1)] | None = key(
-        "tolerance_mm", "by how much distances between samples may be off [mm]; default: 0.001", None
+        "tolerance_mm", "greatest error of distances between samples [mm]; default: 0.001", None
     )
 
     @property
@@ -120,18 +121,18 @@ class FacesSpec(SourceSection):
             if getattr(self, name) is not None:
                 with_it = "weighted_greedy" if name == "weight" else ", ".join(COVER_NAMES[1:])
                 told = type(self).model_fields[name].alias
-                raise refusal(f"path {self.path} knows nothing of it", f"it belongs to path: {with_it}", item=told)
+                raise refusal(f"path {self.path} does not use it", f"it belongs to path: {with_it}", item=told)
         if self.path == "tour" and self.start is not None:
-            raise refusal("a tour starts where it likes", "leave it out, or path: weighted_greedy", item="start_mm")
+            raise refusal("a tour chooses its own start", "leave it out, or set path: weighted_greedy", item="start_mm")
         return self
 
 
 class FaceLayersSpec(Section):
-    """What is printed, and how often: beads that cover faces."""
+    """Layers of beads that cover faces."""
 
     bodies: ClassVar[tuple[str, ...]] = ("step",)
 
-    source: FacesSpec = key("source", "which faces are covered, and how")
+    source: FacesSpec = key("source", "which faces to cover, and how")
     count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = key("count", "number of layers")
     height: Thickness = key("height_mm", "height of a layer [mm], along the faces' normals")
     material: MaterialName | None = material_key("all beads")
@@ -140,23 +141,24 @@ class FaceLayersSpec(Section):
 class GcodeSpec(SourceSection):
     """A file of planar G-code, whose extruding moves become beads."""
 
-    gcode: Annotated[Path, PATH] = key("gcode", "the file, counted from the folder of the problem file")
+    gcode: Annotated[Path, PATH] = key("gcode", "the file, path relative to the problem file's folder")
     filament_diameter: FilamentDiameter | None = key(
         "filament_diameter_mm",
-        "of the filament that the file was sliced for [mm]; default: what the file says, else process.filament_diameter_mm",
+        "diameter of the filament that the file was sliced for [mm]; default: the one it states, else "
+        "process.filament_diameter_mm",
         None,
     )
     origin: Position = key("origin_mm", "the file's origin in the part frame, whose z = 0 is the bed [mm]", (0, 0, 0))
     leave_out: Annotated[tuple[Annotated[ShareName, one_of(SHARE_NAMES)], ...], UNIQUE] = key(
         "leave_out",
-        f"of {', '.join(SHARE_NAMES)}, what is not printed, as the slicer's comments call it; skirt is a brim too where a "
-        "slicer has one name for both",
+        f"what not to print, of {', '.join(SHARE_NAMES)}, as named in the slicer's comments; skirt includes a brim "
+        "if the slicer has one name for both",
         ("purge", "ironing"),
     )
     crumbs: Annotated[float, Quantity("", 0, 0.5)] = key(
         "leave_out_share",
-        "share of the length up to which pieces shorter than a bead is wide are left out; if there are more, the file is "
-        "refused",
+        "share of the length up to which pieces shorter than a bead's width are left out; if there are more, the "
+        "file is refused",
         0.01,
     )
     tools: tuple[MaterialName, ...] | None = key(
@@ -165,7 +167,7 @@ class GcodeSpec(SourceSection):
 
 
 class GcodeLayersSpec(Section):
-    """What is printed, if a slicer says it: all layers, and the beads' widths and heights, stand in the file."""
+    """Layers from a slicer: the file holds all of them, and the beads' widths and heights."""
 
     bodies: ClassVar[tuple[str, ...]] = ()
 
@@ -181,23 +183,25 @@ class WaypointsSpec(SourceSection):
 
     waypoints: Annotated[Path | WaypointArrays, PATH_OR_ARRAYS, WithJsonSchema(_A_PATH)] = key(
         "waypoints",
-        "the file, counted from the folder of the problem file: CSV or text, lines x y z nx ny nz, or NPZ with arrays "
-        "of these names; columns layer, bead, width and height too, where they are named",
+        "the file, path relative to the problem file's folder: CSV or text, lines x y z nx ny nz, or NPZ with arrays "
+        "of these names; also columns layer, bead, width and height, if they are named",
     )
     unit: Annotated[Literal["mm", "m"], one_of(("mm", "m"))] = key(
-        "unit", "of the file's points, widths and heights: mm or m", "mm"
+        "unit", "unit of the file's points, widths and heights: mm or m", "mm"
     )
     up: Annotated[Literal["z", "y", "x"], one_of(("z", "y", "x"))] = key(
-        "up", "the file's axis that is the part frame's z; y turns (x, y, z) to (x, -z, y), x to (y, z, x)", "z"
+        "up",
+        "the file's axis that becomes the part frame's z; y turns (x, y, z) into (x, -z, y), x into (y, z, x)",
+        "z",
     )
     normals: Annotated[Literal["outward", "inward"], one_of(("outward", "inward"))] = key(
         "normals", "where the file's normals point: outward, against the nozzle, or inward, along it", "outward"
     )
-    origin: Position = key("origin_mm", "the file's origin in the part frame, its axes turned [mm]", (0, 0, 0))
+    origin: Position = key("origin_mm", "the file's origin in the part frame, once its axes are turned [mm]", (0, 0, 0))
     kind: Annotated[Literal["surface", "spatial"], one_of(("surface", "spatial"))] | None = key(
         "kind",
-        "what the beads lie on: surface, each other or a substrate; spatial, nothing: struts and columns, round and in space; "
-        "default: surface, and spatial where the file describes no surface",
+        "what the beads lie on: surface, each other or a substrate; spatial, nothing: round struts and columns in "
+        "space; default: surface, or spatial if the file describes no surface",
         None,
     )
     split: Annotated[float, Quantity("mm", 0.01, 10_000)] | None = key(
@@ -207,31 +211,31 @@ class WaypointsSpec(SourceSection):
     )
     crumbs: Annotated[float, Quantity("", 0, 0.5)] = key(
         "leave_out_share",
-        "share of the length up to which paths shorter than a bead is wide and waypoints that stand alone are left out, and "
-        "normals that point the other way turned round; if there are more, the file is refused",
+        "share of the length up to which paths shorter than a bead's width and isolated waypoints are left out, and "
+        "normals that point the wrong way are reversed; if there are more, the file is refused",
         0.01,
     )
     smoothing: Annotated[float, Quantity("deg", 0, 30)] | None = key(
         "smooth_normals_deg",
-        "how far a normal may be turned to smooth them along a bead [deg]; 0 takes them as they are; default: at most 3 "
-        "where they are noisy and the nozzle may not lean, else 0",
+        "how far normals may be turned to smooth them along a bead [deg]; 0 leaves them as they are; default: at "
+        "most 3 where they are noisy and the nozzle may not lean, else 0",
         None,
     )
 
     @property
     def name(self) -> str:
-        """What notes call the file, or the arrays."""
+        """The file's name, or "arrays", for notes."""
         return self.waypoints.name if isinstance(self.waypoints, Path) else "arrays"
 
     def place(self, row: int) -> Place:
-        """Where an error says that a waypoint stands: file and line, or its index in the arrays."""
+        """The place of a waypoint for an error: file and line, or its index in the arrays."""
         given = self.waypoints
         if isinstance(given, Path):
             return {"file": given, "line": int(row)}
         return {"field": f"points{given.index(int(row))}"}
 
     def rows(self, numbers: Sequence[int], most: int) -> str:
-        """Some waypoints in words, the first few of many: lines of the file, or indices."""
+        """Some waypoints in words, at most `most` of them: lines of the file, or indices."""
         given, s = self.waypoints, "s" if len(numbers) > 1 else ""
         more = ", ..." if len(numbers) > most else ""
         if isinstance(given, Path):
@@ -240,7 +244,7 @@ class WaypointsSpec(SourceSection):
 
 
 class WaypointLayersSpec(Section):
-    """What is printed, if a file says it point by point: all layers stand in the file."""
+    """Layers given point by point: the file holds all of them."""
 
     bodies: ClassVar[tuple[str, ...]] = ()
 
@@ -252,7 +256,7 @@ def _naca(value: Any) -> str:
     if not isinstance(value, str):
         raise refusal(f"must be four digits in quotes, not {describe(value)}", 'for example naca: "0015"')
     if not re.fullmatch(r"[0-9]{4}", value):
-        raise refusal(f"{shorten(value)!r} is no section of four digits", 'for example naca: "0015"')
+        raise refusal(f"{shorten(value)!r} is not a four-digit section", 'for example naca: "0015"')
     if value[2:] == "00":
         raise refusal(f"section {value} has no thickness", 'the last two digits, for example naca: "0015"')
     if (value[0] == "0") != (value[1] == "0"):
@@ -265,15 +269,15 @@ _NACA = Form(_naca, schema={"pattern": "^[0-9]{4}$"})
 
 
 class TipSpec(Section):
-    """A wing's section where its span ends; straight lines lead to it from the section where the span begins."""
+    """A wing's section at the end of its span, joined by straight lines to the section at the start of the span."""
 
     aerofoil: Annotated[Path, PATH] | None = key("aerofoil", f"{_POINTS}; default: none", None)
     naca: Annotated[str, _NACA] | None = key(
-        "naca", "the section by its four digits, in quotes; default: that where the span begins", None
+        "naca", "its four-digit NACA section, in quotes; default: the one at the start of the span", None
     )
     chord: Annotated[float, Quantity("mm", 1, 10_000)] = key("chord_mm", "length of the chord [mm]")
     sweep: Annotated[float, Quantity("mm", -10_000, 10_000)] = key(
-        "sweep_mm", "how far its leading edge lies behind that where the span begins [mm]", 0
+        "sweep_mm", "how far its leading edge lies behind that at the start of the span [mm]", 0
     )
     washout: Annotated[float, Quantity("deg", -30, 30)] = key(
         "washout_deg", "how far it is turned nose down, about a quarter of its chord [deg]", 0
@@ -291,17 +295,17 @@ class AerofoilSpec(Section):
 
     model_config = exactly_one("aerofoil", "naca")
 
-    aerofoil: Annotated[Path, PATH] | None = key("aerofoil", f"{_POINTS}; default: none, but naca", None)
+    aerofoil: Annotated[Path, PATH] | None = key("aerofoil", f"{_POINTS}; default: none, naca instead", None)
     naca: Annotated[str, _NACA] | None = key(
-        "naca", "the section by its four digits, in quotes; default: none, but aerofoil", None
+        "naca", "the four-digit NACA section, in quotes; default: none, aerofoil instead", None
     )
     chord: Annotated[float, Quantity("mm", 1, 10_000)] = key("chord_mm", "length of the chord [mm]")
-    span: Annotated[float, Quantity("mm", 1, 10_000)] = key("span_mm", "length along the span [mm]")
-    origin: Position = key("origin_mm", "leading edge in the part frame, where the span begins [mm]", (0, 0, 0))
+    span: Annotated[float, Quantity("mm", 1, 10_000)] = key("span_mm", "length of the span [mm]")
+    origin: Position = key("origin_mm", "leading edge at the start of the span, in the part frame [mm]", (0, 0, 0))
     tilt: Annotated[float, Quantity("deg", 5, 90)] = key(
         "tilt_deg", "greatest tilt of a layer [deg]; where a layer is steeper, it is left out", 45
     )
-    tip: TipSpec | None = key("tip", "the section where the span ends; default: the same all along the span", None)
+    tip: TipSpec | None = key("tip", "the section at the end of the span; default: the same all along the span", None)
     method: Annotated[str, one_of(METHODS)] = key(
         "method", "curved: layers parallel to the wing's surfaces; planar: level ones, for comparison", "curved"
     )
@@ -315,13 +319,14 @@ class AerofoilSpec(Section):
 
 
 class SupportSpec(Section):
-    """What is printed under a wing: level layers, loosely filled, and curved ones on them that follow its surface."""
+    """Support under a wing: sparsely filled level layers, and on them curved ones that follow the wing's surface."""
 
     length: Annotated[float, Quantity("mm", 1, 10_000)] = key(
-        "length_mm", "length of the level layers along the chord, as much before the wing as behind it [mm]"
+        "length_mm",
+        "length of the level layers along the chord, extending as far in front of the wing as behind it [mm]",
     )
     height: Annotated[float, Quantity("mm", 0, 10_000)] = key(
-        "height_mm", "height of the level layers before and behind the wing [mm]"
+        "height_mm", "height of the level layers in front of and behind the wing [mm]"
     )
     infill: Annotated[float, Quantity("", 0.1, 1)] = key("infill", "share of the level layers that is filled", 0.5)
     curved: Annotated[int, Quantity("", 0, 20, whole=True)] = key("curved", "number of curved layers", 2)
@@ -329,36 +334,36 @@ class SupportSpec(Section):
 
 
 class AerofoilLayersSpec(Section):
-    """What is printed, if it is a wing: layers parallel to its lower and its upper surface."""
+    """Layers of a wing, parallel to its lower and its upper surface."""
 
-    bodies: ClassVar[tuple[str, ...]] = ()  # a wing is its own
+    bodies: ClassVar[tuple[str, ...]] = ()  # a wing is its own body
 
     source: AerofoilSpec = key("source", "where the wing's section comes from")
     count: Annotated[int, Quantity("", 1, 10_000, whole=True)] | None = key(
         "count", "number of layers, from the first; default: all of support and wing", None
     )
     height: Thickness = key("height_mm", "height of a layer [mm]")
-    support: SupportSpec | None = key("support", "what is printed under the wing; default: none, it is there", None)
+    support: SupportSpec | None = key(
+        "support", "support to print under the wing; default: none, it is already there", None
+    )
     passes: Annotated[str, one_of(PASSES)] = key(
         "passes",
-        "joined: each layer, or piece of one, as one zig-zag bead; apart: each pass of it as a bead of its own, the extruder "
-        "off in the turns",
+        "joined: each layer, or piece of one, as one zig-zag bead; apart: each pass as a bead of its own, with the "
+        "extruder off in the turns",
         "joined",
     )
     material: MaterialName | None = material_key("the wing")
 
 
 class MiddleSpec(Section):
-    """What the lower half of a core reaches up to, and is reflected at: one of these."""
+    """The surface up to which the lower half of a core reaches, and at which it is mirrored: one of these."""
 
     model_config = exactly_one("z_mm", "mesh")
 
     z: Annotated[float, Quantity("mm", -100_000, 100_000)] | None = key(
-        "z_mm", "height of a level plane in the part frame [mm]; default: none, but mesh", None
+        "z_mm", "height of a level plane in the part frame [mm]; default: none, mesh instead", None
     )
-    mesh: MeshSpec | None = key(
-        "mesh", "a file of facets, of which counts what is seen from above; default: none", None
-    )
+    mesh: MeshSpec | None = key("mesh", "a file of facets, used as seen from above; default: none", None)
 
     @model_validator(mode="after")
     def _one_middle(self) -> MiddleSpec:
@@ -369,26 +374,28 @@ class MiddleSpec(Section):
 
 
 class CoreLayersSpec(OnPartSpec):
-    """What is printed, if it is a core: a pattern in layers from the part up to a middle, and the reflection on them."""
+    """A core: a pattern in layers from the part up to a middle surface, and their mirror image on top."""
 
     bodies: ClassVar[tuple[str, ...]] = ("mesh",)
 
-    project: Annotated[Literal["z"], one_of(("z",))] = key("project", "the axis along which curves fall onto the part")
+    project: Annotated[Literal["z"], one_of(("z",))] = key(
+        "project", "the axis along which curves are projected onto the part"
+    )
     source: PatternSpec = key("source", "where the curves come from")
     up_to: MiddleSpec = key("up_to", "the middle of the core: z_mm or mesh")
     halves: Annotated[Literal["both", "lower"], one_of(("both", "lower"))] = key(
-        "halves", "what is printed: both halves, or the lower one", "both"
+        "halves", "what to print: both halves, or the lower one", "both"
     )
     heights: Annotated[Literal["even", "varying"], one_of(("even", "varying"))] = key(
         "heights",
-        "even: each layer height_mm above the one before, left out beyond the middle; "
-        "varying: all layers from end to end, as high as their place asks",
+        "even: each layer height_mm above the one before, cut off at the middle; "
+        "varying: all layers from end to end, sharing the height there is evenly",
         "even",
     )
-    height: Thickness = key("height_mm", "vertical height of a layer; where heights vary, the greatest [mm]")
+    height: Thickness = key("height_mm", "vertical height of a layer; with varying heights, the greatest [mm]")
     least_height: Thickness | None = key(
         "least_height_mm",
-        "where layers of varying height were less high than this, they are left out [mm]; default: a fifth of height_mm",
+        "layers of varying height are left out where they would be lower than this [mm]; default: a fifth of height_mm",
         None,
     )
     tilt: Annotated[float, Quantity("deg", 5, 75)] = key(
@@ -404,7 +411,9 @@ class CoreLayersSpec(OnPartSpec):
         if self.least_height is None:
             return self
         if self.heights == "even":
-            raise refusal("heights are even", "leave out least_height_mm, or heights: varying", item="least_height_mm")
+            raise refusal(
+                "heights are even", "leave out least_height_mm, or set heights: varying", item="least_height_mm"
+            )
         if self.least_height > self.height:
             least, most = self.least_height * 1e3, self.height * 1e3
             reason = f"the least height, {least:g} mm, is more than the greatest, {most:g} mm"
@@ -413,75 +422,76 @@ class CoreLayersSpec(OnPartSpec):
 
 
 class SolidSpec(SourceSection):
-    """The body that is printed."""
+    """The body to print."""
 
     mesh: Annotated[Path, PATH] = key(
-        "mesh", "a closed body (STL, PLY, OBJ, OFF, 3MF, STEP or IGES), counted from the folder of the problem file"
+        "mesh", "a closed body (STL, PLY, OBJ, OFF, 3MF, STEP or IGES), path relative to the problem file's folder"
     )
     unit: Unit | None = unit_key()
     scale: Scale = scale_key()
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
     rpy: Angles = key("rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0))
     smooth: Smooth | None = smooth_key()
-    crumbs: Crumbs = crumbs_key("the volume, too narrow for a bead,")
+    crumbs: Crumbs = crumbs_key("the volume (too narrow for a bead)")
     holes: Annotated[float, Quantity("mm", 0, 10_000)] | None = key(
         "close_holes_mm",
-        "holes in the mesh up to this wide are closed, and told: 4 times their area over their rim's length, which is a round "
-        "one's diameter and twice a slit's [mm]; if there are wider ones, the mesh is refused; default: a bead's width, for 5 % of the "
-        "surface at most",
+        "holes in the mesh up to this wide are closed and reported; their width is 4 times their area over the "
+        "length of their rim, which is the diameter of a round hole and twice the width of a slit [mm]; with wider "
+        "holes the mesh is refused; default: a bead's width, for 5 % of the surface at most",
         None,
     )
 
     @property
     def file(self) -> MeshSpec:
-        """The same as any file of facets."""
+        """The same as a section for any file of facets."""
         return MeshSpec.model_construct(
             file=self.mesh, unit=self.unit, scale=self.scale, origin=self.origin, rpy=self.rpy, smooth=self.smooth
         )
 
 
 class GuideSpec(MiddleSpec):
-    """A surface that the layers begin at, or whose shape they come to: a level plane, or the upper side of a mesh."""
+    """The surface where layers begin, or whose shape they approach: a level plane, or the upper side of a mesh."""
 
 
 class InfillSpec(Section):
-    """What fills a layer between its walls: lines that go to and fro."""
+    """What fills a layer between its walls: lines back and forth."""
 
     density: Annotated[float, Quantity("", 0.02, 1)] = key("density", "share of the inside that is filled", 1)
     angle: Annotated[float, Quantity("deg", -360, 360)] = key(
-        "angle_deg", "direction of the lines, counted from x; every second layer lies across [deg]", 45
+        "angle_deg", "direction of the lines, counted from x; in every second layer they lie across [deg]", 45
     )
     material: MaterialName | None = material_key("the infill", "the layers'")
 
 
 class VolumeLayersSpec(Section):
-    """What is printed, if it is a closed mesh: layers that change from its lower surface to its upper one."""
+    """Layers of a closed mesh that change from the shape of its lower surface to that of its upper one."""
 
     bodies: ClassVar[tuple[str, ...]] = ()
 
-    source: SolidSpec = key("source", "the body that is printed")
+    source: SolidSpec = key("source", "the body to print")
     lower: GuideSpec | None = key(
-        "lower", "the surface that the layers begin at: z_mm or mesh; default: level with the body's lowest point", None
+        "lower", "the surface where the layers begin: z_mm or mesh; default: level with the body's lowest point", None
     )
     upper: GuideSpec | None = key(
         "upper",
-        "the surface whose shape the layers come to, z_mm or mesh; it cuts nothing off: they go on up to the body's top; "
-        "default: that top",
+        "the surface whose shape the layers approach, z_mm or mesh; it cuts nothing off: they continue up to the "
+        "body's top; default: that top",
         None,
     )
     height: Thickness = key("height_mm", "vertical height of a layer where it is greatest [mm]")
     least_height: Thickness | None = key(
         "least_height_mm",
-        "least vertical height [mm]: where layers would be thinner, fewer of them are laid; default: half of height_mm",
+        "least vertical height [mm]; where layers would be thinner, there are fewer of them; default: half of "
+        "height_mm",
         None,
     )
     transition: Annotated[TransitionName, one_of(TRANSITIONS)] = key(
         "transition",
-        "how layers change from the lower surface to the upper one: linear shares the height out along z, harmonic takes the "
-        "levels of the harmonic field between them",
+        "how layers change from the lower surface to the upper one: linear divides the height evenly along z, harmonic "
+        "follows the level surfaces of the harmonic field between them",
         "linear",
     )
-    perimeters: Annotated[int, Quantity("", 0, 20, whole=True)] = key("perimeters", "how many beads run along walls", 1)
+    perimeters: Annotated[int, Quantity("", 0, 20, whole=True)] = key("perimeters", "number of beads along walls", 1)
     infill: InfillSpec = key("infill", "what fills a layer between its walls; each of its keys has a default", {})
     tilt: Annotated[float, Quantity("deg", 1, 60)] = key("tilt_deg", "greatest tilt of a layer [deg]", 30)
     material: MaterialName | None = material_key("the layers")
@@ -504,7 +514,7 @@ class VolumeLayersSpec(Section):
 
 @dataclass(frozen=True)
 class _Kind:
-    """A kind of layers: its tag, its model, and the keys of `layers.source` that name it."""
+    """A kind of layers: its tag, its model, and the keys of `layers.source` that identify it."""
 
     tag: str
     model: type[Section]
@@ -515,7 +525,7 @@ class _Kind:
         return _aliases(cast(type[Section], self.model.model_fields["source"].annotation))
 
     def claim(self, layers: set[str | None], source: set[str | None]) -> tuple[int, int, int, int]:
-        """How well it fits the keys that the file holds; the greatest fits best."""
+        """How well it fits the keys in the file; the greatest fits best."""
         needed = {field.alias for field in self.model.model_fields.values() if field.is_required()}
         return (
             int(any(name in source for name in self.names)),
@@ -526,7 +536,7 @@ class _Kind:
 
 
 def _aliases(model: type[Section]) -> list[str]:
-    """The keys of a section, as they stand in the file."""
+    """The keys of a section, as in the file."""
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
@@ -548,7 +558,7 @@ KINDS = (
 
 
 def _kind_of_layers(value: Any) -> str:
-    """The tag of the model that the keys of `layers` belong to, misspelt ones read as what they may mean."""
+    """The tag of the model that the keys of `layers` belong to; misspelt ones are read as what they may mean."""
     source = value.get("source") if isinstance(value, dict) else None
     if not isinstance(source, dict):
         source = {}
@@ -583,7 +593,7 @@ AnyLayersSpec = Annotated[
 
 
 def check_body(part: PartSpec, layers: AnyLayersSpec) -> None:
-    """Raise the refusal of a body that layers of this kind are not laid on."""
+    """Raise the refusal of a body that layers of this kind cannot be laid on."""
     if part.body in layers.bodies:
         if isinstance(layers, ProjectedLayersSpec) and layers.normals == "facets" and part.body != "mesh":
             raise refusal(f"a {part.body} has no facets", "leave out layers.normals, or give a mesh", item=part.body)

@@ -1,4 +1,4 @@
-"""Facets of a body from a file: STL, PLY, OBJ, OFF, 3MF, STEP or IGES; what cannot be printed on is refused."""
+"""Facets of a body from a file: STL, PLY, OBJ, OFF, 3MF, STEP or IGES; unusable files are refused."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ if TYPE_CHECKING:
 MOST_FACETS, LARGEST_FILE = MESH_FACETS.most, MESH_BYTES.most
 FARTHEST = 100_000.0  # mm from the origin: a hall
 SUFFIXES = (".stl", ".ply", ".obj", ".off", ".3mf", *STEP_ENDINGS, *IGES_ENDINGS)
-SMALLEST, GREATEST = 5.0, 20_000.0  # mm across, of what is printed or printed on: else its unit is another one
-_LIKELY = (20.0, 2000.0)  # mm across: units that make it so are named
+SMALLEST, GREATEST = 5.0, 20_000.0  # mm across, of a body to print or to print on: outside, the unit must be wrong
+_LIKELY = (20.0, 2000.0)  # mm across: units that give such a size are suggested
 _HEADER = 84  # bytes of a binary STL file before its facets, of _FACET bytes each
 _FACET = 50
 _SOLID = re.compile(rb"^([ \t]*(?:end)?solid)\b[^\r\n]*", re.MULTILINE | re.IGNORECASE)  # with any name
-_THINNEST = 1e-9  # mm, height of a facet over its longest side: below, it is a line and has no normal
-_MODEL_HEAD = 65_536  # bytes of a 3MF model in which its unit stands
+_THINNEST = 1e-9  # mm, height of a facet over its longest side: below, it is a line without a normal
+_MODEL_HEAD = 65_536  # bytes of a 3MF model that contain its unit
 _UNITS_3MF = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in", "foot": "ft", "meter": "m"}
-_MODEL_3MF = "3d/3dmodel.model"  # in small letters: which the other parts of a file are parts of
+_MODEL_3MF = "3d/3dmodel.model"  # in lower case: the model that the other parts of a file belong to
 _NUMBER_3MF = re.compile(rb"<(?:\w+:)?object\b[^>]*?\sid\s*=\s*[\"'](\d+)")
 _BODY_3MF = re.compile(rb"<(?:\w+:)?mesh\b")
 _OFF_REMARK = re.compile(rb"#[^\n]*")
 _OFF_MANY = re.compile(rb"^[ \t]*(?:[5-9]|[1-9]\d+)(?:[ \t]+\d+){5}", re.MULTILINE)  # a facet of five corners or more
-_FOLD = 1e-4  # of what a file extends: so far corners may be off the line between others, as they are rounded
-# What trimesh's readers raise at files that are none, or damaged.
+_FOLD = 1e-4  # × the file's extent: how far rounded corners may be off the line between others
+# Raised by trimesh's readers for files that are damaged or of another format.
 _UNREADABLE = (
     ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, NameError, NotImplementedError, RuntimeError,
     SyntaxError, TypeError, ValueError, Warning, struct.error, zipfile.BadZipFile, zlib.error,
@@ -55,7 +55,7 @@ _UNREADABLE = (
 def read_facets(spec: MeshSpec, where: Complaint, lines: bool = False) -> Array:
     """Facets (n, 3, 3) of a body [m] in the part frame; otherwise as `read_corners`.
 
-    Raises the InputError of `where` also for a body that is too small or too large to be one, where no unit is given.
+    Also raises the InputError of `where` for a body of implausible size, if no unit is given.
     """
     corners = read_corners(spec.file, where, spec.unit, spec.scale, lines)
     across = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) * 1e3
@@ -68,7 +68,7 @@ def read_facets(spec: MeshSpec, where: Complaint, lines: bool = False) -> Array:
         what = f"{spec.file.name} is {across:.4g} mm across" + (
             "" if spec.scale == 1.0 else f" at scale {spec.scale:g}"
         )
-        hint = "; ".join([*likely, f"unit: {unit} takes it as it is", "or give scale"])
+        hint = "; ".join([*likely, f"unit: {unit} keeps that size", "or give scale"])
         raise where(f"{what}, with lengths in {unit}", hint=hint)
     turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
     return np.asarray(corners @ turn.T + np.asarray(spec.origin))
@@ -77,14 +77,14 @@ def read_facets(spec: MeshSpec, where: Complaint, lines: bool = False) -> Array:
 def read_corners(
     path: Path, where: Complaint, unit: str | None = None, scale: float = 1.0, lines: bool = False
 ) -> Array:
-    """Facets (n, 3, 3) of a file [m], counter-clockwise seen from outside; without an area only if `lines`.
+    """Facets (n, 3, 3) of a file [m], counter-clockwise seen from outside; those without an area only if `lines`.
 
-    `where(reason, hint=...)` makes the InputError for what is wrong with the file, as for what stands inside out.
-    unit: of the file's lengths, one of UNITS; by default what it says itself, else mm.
+    `where(reason, hint=...)` makes the InputError for what is wrong with the file, such as facets that are inside out.
+    unit: of the file's lengths, one of UNITS; default: the one that it states, else mm.
     """
     data = read_bytes(path, LARGEST_FILE, where, _FEWER)
     kind = _kind(path, data)
-    with np.errstate(invalid="ignore", over="ignore"):  # corners that are no numbers are refused below
+    with np.errstate(invalid="ignore", over="ignore"):  # corners that are not numbers are refused below
         mesh = _READERS[kind](path, data, where)
     name = path.name
     faces = np.asarray(mesh.faces).reshape(-1, 3)
@@ -93,25 +93,27 @@ def read_corners(
     if len(faces) > MOST_FACETS:
         raise where(f"{name} has {len(faces)} facets", hint=_FEWER)
     if np.shape(mesh.vertices)[1:] != (3,):
-        raise where(f"{name} is damaged: its corners are no points of three coordinates")
+        raise where(f"{name} is damaged: its corners do not have three coordinates each")
     if faces.min() < 0 or faces.max() >= len(mesh.vertices):
-        raise where(f"{name} is damaged: a facet names a corner that is not there, of {len(mesh.vertices)}")
+        raise where(f"{name} is damaged: a facet refers to a corner that is not among its {len(mesh.vertices)}")
     mm = UNITS[unit or _unit(kind, data)] * scale
     corners = np.asarray(mesh.vertices, dtype=float)[faces] * mm
     if not (np.abs(corners) <= FARTHEST).all():  # NaN is not
-        raise where(f"{name} has a corner that is no number, or farther than {FARTHEST / 1e3:g} m from the origin")
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # by their places alone
+        raise where(
+            f"{name} has a corner that is not a number, or is farther than {FARTHEST / 1e3:g} m from the origin"
+        )
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # by position alone
     corners = corners[_once(np.asarray(mesh.faces))]
     areas = with_area(corners)
     if len(areas) == 0:
-        raise where(f"{name} holds no facet that has an area")
+        raise where(f"{name} holds no facet with an area")
     if mesh.is_watertight and mesh.volume < 0.0:
         raise where(f"{name} is inside out: its facets face inwards", hint="flip its normals in a CAD program")
     return np.asarray((corners if lines else areas) * 1e-3)
 
 
 def _once(faces: Ints) -> Ints:
-    """Which of facets (n, 3), by the numbers of their corners, to keep: of equal ones, facing the same way, the first."""
+    """Indices of the facets (n, 3), given by their corners, to keep: of equal ones facing the same way, the first."""
     first = np.argmin(faces, axis=1)
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
     return np.sort(np.unique(turned, axis=0, return_index=True)[1])
@@ -126,7 +128,7 @@ def with_area(corners: Array) -> Array:
 
 
 def unit_of(path: Path, where: Complaint) -> str:
-    """The unit that a file says its lengths are in, else mm."""
+    """The unit that a file states for its lengths, else mm."""
     data = read_bytes(path, LARGEST_FILE, where, _FEWER)
     return _unit(_kind(path, data), data)
 
@@ -135,7 +137,7 @@ _FEWER = f"make a mesh of fewer facets, at most {MOST_FACETS}"
 
 
 def _kind(path: Path, data: bytes) -> str:
-    """What a file is, by its first bytes, and where these say nothing by its name; else STL."""
+    """A file's format by its first bytes, or by its name if these say nothing; else STL."""
     if is_cad(path, data):
         return "cad"
     first = data[:6].lstrip()
@@ -149,7 +151,7 @@ def _kind(path: Path, data: bytes) -> str:
 
 
 def _unit(kind: str, data: bytes) -> str:
-    """The unit that a file says its lengths are in, else mm."""
+    """The unit that a file states for its lengths, else mm."""
     if kind != "3mf":
         return "mm"
     try:
@@ -163,11 +165,11 @@ def _unit(kind: str, data: bytes) -> str:
     return _UNITS_3MF.get(found.group(1).decode("ascii", "replace"), "mm") if found else "mm"
 
 
-# Trimesh takes a third of a second to be imported: only where there is a file to read.
+# Importing trimesh takes a third of a second: done only where there is a file to read.
 
 
 def _stl(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
-    """Some binary files begin with the word of text files: what counts is whether there are facets in words."""
+    """Some binary files begin with the keyword of text files: what counts is whether facets are in text."""
     text = data.lstrip()[:5].lower() == b"solid" and (b"facet" in data[:4096].lower() or len(data) < _HEADER)
     return _text(path, data, where) if text else _binary(path, data, where)
 
@@ -176,11 +178,13 @@ def _binary(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     import trimesh
 
     if len(data) < _HEADER:
-        raise where(f"{path.name} is no STL file: it has {len(data)} bytes")
+        raise where(f"{path.name} is not an STL file: it has {len(data)} bytes")
     (count,) = struct.unpack("<I", data[80:_HEADER])
     there = (len(data) - _HEADER) // _FACET
     if len(data) != _HEADER + _FACET * count:
-        raise where(f"{path.name} is no STL file, or damaged: it announces {count} facets and has room for {there}")
+        raise where(
+            f"{path.name} is not an STL file, or is damaged: it announces {count} facets but has room for {there}"
+        )
     _check_count(path, count, where)
     parts = trimesh.exchange.stl.load_stl_binary(io.BytesIO(data))
     return trimesh.Trimesh(vertices=parts["vertices"], faces=parts["faces"], process=False)
@@ -203,7 +207,7 @@ def _text(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     if not words.count(b"facet normal") == count == words.count(b"vertex") / 3 or b"endsolid" not in words:
         raise where(f"{reason}: it ends, or has a gap, within a facet")
     if not 0 < found <= count:
-        raise where(f"{reason}: {count} facets are begun and {found} can be read")
+        raise where(f"{reason}: {count} facets begin but only {found} can be read")
     return mesh
 
 
@@ -211,12 +215,12 @@ def _ply(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     head = data[: data.find(b"end_header")].decode("ascii", "replace") if b"end_header" in data else ""
     counts = re.search(r"^element\s+face\s+(\d+)", head, re.MULTILINE)
     if counts is None or int(counts.group(1)) == 0:
-        raise where(f"{path.name} holds no facets", hint="points alone are no surface: make a mesh of them")
+        raise where(f"{path.name} holds no facets", hint="points alone are not a surface: make a mesh of them")
     announced = int(counts.group(1))
     _check_count(path, announced, where)
     mesh = _by_trimesh(path, data, "ply", where)
     if len(mesh.faces) < announced:
-        raise where(f"{path.name} is damaged: it announces {announced} facets and {len(mesh.faces)} can be read")
+        raise where(f"{path.name} is damaged: it announces {announced} facets but only {len(mesh.faces)} can be read")
     if len(mesh.faces) > announced:
         _check_pieces(path, data, "ply", where)
     return mesh
@@ -227,7 +231,7 @@ def _obj(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     _check_count(path, count, where)
     mesh = _by_trimesh(path, _as_utf8(data), "obj", where, skip_materials=True)
     if len(mesh.faces) < count:
-        raise where(f"{path.name} is damaged: of {count} facets {len(mesh.faces)} can be read")
+        raise where(f"{path.name} is damaged: of {count} facets only {len(mesh.faces)} can be read")
     if len(mesh.faces) > count:
         _check_pieces(path, data, "obj", where)
     return mesh
@@ -245,7 +249,7 @@ def _off(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
 
 
 def _off_in_triangles(data: bytes) -> bytes:
-    """An OFF file with all its facets cut from their first corners: trimesh reads none of more than four corners."""
+    """An OFF file with all facets split from their first corners: trimesh reads none with more than four corners."""
     places, polygons = _polygons_of_off(data)
     facets = [(each[0], *pair) for each in polygons for pair in pairwise(each[1:])]
     head = f"OFF\n{len(places)} {len(facets)} 0"
@@ -254,7 +258,7 @@ def _off_in_triangles(data: bytes) -> bytes:
 
 
 def _as_utf8(data: bytes) -> bytes:
-    """A text whose numbers are ASCII, whatever its comments are written in."""
+    """A text with ASCII numbers as UTF-8, whatever the encoding of its comments."""
     return data.decode("utf-8", "replace").encode()
 
 
@@ -272,9 +276,9 @@ def _3mf(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
             size = sum(each.file_size for each in archive.infolist())
             told_apart = size > LARGEST_FILE or _told_apart(archive)
     except _UNREADABLE as error:
-        raise where(f"{path.name} is no 3MF file, or damaged: {error}") from None
+        raise where(f"{path.name} is not a 3MF file, or is damaged: {error}") from None
     if size > LARGEST_FILE:
-        raise where(f"{path.name} is larger than {LARGEST_FILE // 10**6} MB once it is unpacked", hint=_FEWER)
+        raise where(f"{path.name} is larger than {LARGEST_FILE // 10**6} MB once unpacked", hint=_FEWER)
     if not told_apart:
         reason = (
             f"bodies in the parts of {path.name} cannot be told apart, as Bambu Studio and OrcaSlicer save assemblies"
@@ -284,8 +288,8 @@ def _3mf(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
 
 
 def _told_apart(archive: zipfile.ZipFile) -> bool:
-    """Whether trimesh tells the bodies in the parts of a 3MF file from each other: of a part it takes all for each that is
-    asked for, and of several parts all that have one number."""
+    """Whether trimesh can tell apart the bodies in the parts of a 3MF file: when one is requested, it takes all bodies
+    of its part, and those of the same number in all parts."""
     texts = {name.lower(): archive.read(name) for name in archive.namelist() if name.lower().endswith(".model")}
     numbers = [number for text in texts.values() for number in set(_NUMBER_3MF.findall(text))]
     apart = [text for name, text in texts.items() if _MODEL_3MF not in name]
@@ -296,28 +300,31 @@ def _by_trimesh(path: Path, data: bytes, kind: str, where: Complaint, **options:
     """All bodies of a file as one mesh, in their places."""
     import trimesh
 
-    logging.getLogger("trimesh").addHandler(
-        logging.NullHandler()
-    )  # what it cannot read is told by us, without a traceback
+    # we report files that it cannot read, without its traceback
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())
     try:
         with warnings_are("ignore"):
             found: Any = trimesh.load(io.BytesIO(data), file_type=kind, process=False, **options)
             mesh = found.to_mesh() if isinstance(found, trimesh.Scene) else found
     except _UNREADABLE as error:
         said = " ".join(str(error).split())[:120]
-        raise where(f"{path.name} is no {kind.upper()} file, or damaged" + (f": {said}" if said else "")) from None
+        raise where(
+            f"{path.name} is not in {kind.upper()} format, or is damaged" + (f": {said}" if said else "")
+        ) from None
     if not isinstance(mesh, trimesh.Trimesh):
-        raise where(f"{path.name} holds no facets", hint="points and lines alone are no surface: make a mesh of them")
+        raise where(
+            f"{path.name} holds no facets", hint="points and lines alone are not a surface: make a mesh of them"
+        )
     return mesh
 
 
 def _check_pieces(path: Path, data: bytes, kind: str, where: Complaint) -> None:
-    """Raises the InputError of `where` for facets that trimesh, which cuts each from its first corner, cuts wrongly."""
+    """Raise the InputError of `where` for facets that trimesh splits wrongly: it splits each from its first corner."""
     try:
         with warnings_are("ignore"):
             count = _wrongly_cut(*_POLYGONS[kind](data))
     except _UNREADABLE as error:
-        raise where(f"{path.name} is no {kind.upper()} file, or damaged: {error}") from None
+        raise where(f"{path.name} is not in {kind.upper()} format, or is damaged: {error}") from None
     if count:
         raise where(
             f"{path.name} has a facet of {count} corners that is not convex", hint="triangulate facets on export"
@@ -325,8 +332,11 @@ def _check_pieces(path: Path, data: bytes, kind: str, where: Complaint) -> None:
 
 
 def _wrongly_cut(places: Array, polygons: Sequence[Sequence[int]]) -> int:
-    """The number of corners, which are `places` (n, 3), of a polygon of which a piece between its first corner and two that
-    follow each other faces the other way than the whole; 0 where there is none."""
+    """The number of corners of a polygon that is wrongly split from its first corner; 0 if there is none.
+
+    In such a polygon, a piece between the first corner and two consecutive ones faces the other way than the whole.
+    places: corners (n, 3)
+    """
     slack = _FOLD * float(np.ptp(places, axis=0).max())
     for count in sorted({len(each) for each in polygons if len(each) > 3}):
         corners = places[np.array([each for each in polygons if len(each) == count])]
@@ -341,7 +351,7 @@ def _wrongly_cut(places: Array, polygons: Sequence[Sequence[int]]) -> int:
 
 
 def _polygons_of_ply(data: bytes) -> tuple[Array, Any]:
-    """Corners (n, 3), and of each facet the numbers of its own."""
+    """Corners (n, 3), and for each facet the indices of its own."""
     import trimesh
 
     raw = trimesh.exchange.ply.load_ply(io.BytesIO(data), skip_materials=True)["metadata"]["_ply_raw"]
@@ -353,7 +363,7 @@ def _polygons_of_ply(data: bytes) -> tuple[Array, Any]:
 
 
 def _polygons_of_obj(data: bytes) -> tuple[Array, list[list[int]]]:
-    """Corners (n, 3), and of each facet with more than three the numbers of its own."""
+    """Corners (n, 3), and for each facet with more than three the indices of its own."""
     text = re.sub(rb"\\\r?\n", b" ", data)
     places = np.array(re.findall(rb"^v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", text, re.MULTILINE), dtype=float)
     found = re.findall(rb"^[ \t]*f((?:[ \t]+[-\d/]+){4,})", text, re.MULTILINE)
@@ -362,7 +372,7 @@ def _polygons_of_obj(data: bytes) -> tuple[Array, list[list[int]]]:
 
 
 def _polygons_of_off(data: bytes) -> tuple[Array, list[list[int]]]:
-    """Corners (n, 3), and of each facet the numbers of its own."""
+    """Corners (n, 3), and for each facet the indices of its own."""
     text = _OFF_REMARK.sub(b"", data).partition(b"OFF")[2]
     lines = [words for line in text.splitlines() if (words := line.split())]
     first = int(lines[0][0]) + 1

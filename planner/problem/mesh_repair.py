@@ -1,5 +1,7 @@
-"""What keeps facets from being a surface or a body is mended within bounds, and told: facets wound the other way than
-their neighbours, slits, small holes."""
+"""Repairs of facets that do not form a surface or a body, within bounds, and reported.
+
+Defects are facets wound the other way than their neighbours, slits, and small holes.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,16 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
 
-_SAME = 1e-9  # m between corners that are one corner: they differ by rounding, once the file is turned
-_SLIT = 2e-5  # m between corners at a slit's two sides, at most: single precision, or a file's few decimals
-_NO_HOLE = 5e-6  # m: where an edge meets two halves of it there is no hole to speak of
+_SAME = 1e-9  # m between corners that are one corner: they differ by rounding once the file is turned
+_SLIT = 2e-5  # m at most between corners at the two sides of a slit: single precision, or few decimals in the file
+_NO_HOLE = 5e-6  # m: anything narrower is not a hole, but an edge that lies next to its two halves
 
 
 @dataclass(frozen=True)
 class Hole(ReadOnlyArrays):
-    """A hole in a skin: facets (n, 3, 3) [m] that close it, as wide as 4 times their area over its rim's length [m].
+    """A hole in a skin, and the facets (n, 3, 3) [m] that close it.
 
+    width  4 times their area over the length of the rim [m]
     place  the middle (3) of its rim [m]
     """
 
@@ -31,18 +34,18 @@ class Hole(ReadOnlyArrays):
 
     @property
     def area(self) -> float:
-        """Of what closes it [m^2]."""
+        """Area of the facets that close it [m^2]."""
         return float(_areas(self.facets).sum())
 
 
 @dataclass(frozen=True)
 class Mended(ReadOnlyArrays):
-    """Facets (n, 3, 3) [m], the closing ones among them, and what was done to them.
+    """Repaired facets (n, 3, 3) [m], including those that close holes, and what was done.
 
-    turned       how many facets were turned round
-    joined, gap  how many corners were brought together, the farthest by so much [m]
-    closed       holes that were closed; open: those that are wider than allowed, the widest first
-    twisted      a place (3) where two facets face opposite ways and turning does not help, as the surface has one side only
+    turned       how many facets were reversed
+    joined, gap  how many corners were merged, and how far one was moved at most [m]
+    closed       holes that were closed; open: those wider than allowed, the widest first
+    twisted      a place (3) where two facets face opposite ways and reversing does not help: the surface is one-sided
     """
 
     corners: Array
@@ -55,12 +58,12 @@ class Mended(ReadOnlyArrays):
 
     @property
     def share(self) -> float:
-        """Of its surface that closes holes."""
+        """Share of the surface that closes holes."""
         return sum(hole.area for hole in self.closed) / float(_areas(self.corners).sum())
 
     @property
     def words(self) -> str:
-        """What was done; empty for nothing."""
+        """What was done, in words; empty for nothing."""
         parts = []
         if self.turned:
             parts.append(turned_words(self.turned))
@@ -77,7 +80,7 @@ class Mended(ReadOnlyArrays):
 
 
 def turned_words(count: int) -> str:
-    """How many facets were turned, as a note says it."""
+    """How many facets were reversed, in the words of a note."""
     return f"{count_of(count, 'facet')} turned round to face as {'its' if count == 1 else 'their'} neighbours do"
 
 
@@ -87,21 +90,21 @@ def count_of(number: int, what: str) -> str:
 
 
 def mend(corners: Array, widest: float) -> Mended:
-    """Facets (n, 3, 3) [m] as the skin of a body: turned as their neighbours are, slits and holes up to `widest` [m] closed.
+    """Facets (n, 3, 3) [m] as the skin of a body: oriented consistently, slits and holes up to `widest` [m] closed.
 
-    What is wider stays open, and is told. A hole is closed by facets between its own corners, the nearest joined first.
+    Wider ones stay open, and are reported. A hole is closed by facets between its own corners, nearest ones first.
     """
     apart = _shared(corners)
     vertices, facets, joined, gap = _joined(*apart, min(_SLIT, widest))
     facets, turned, mixed = _turned(vertices, facets, upward=False)
     twisted = _twisted(vertices, facets)
-    if twisted is not None and joined:  # sheets back to back, as of a double wall, are no slit's two sides
+    if twisted is not None and joined:  # sheets back to back, as in a double wall, are not the sides of a slit
         vertices, joined, gap = apart[0], 0, 0.0
         facets, turned, mixed = _turned(*apart, upward=False)
         twisted = _twisted(vertices, facets)
     holes = _holes(vertices, facets)
     if turned and _volume(np.concatenate([vertices[facets], *(hole.facets for hole in holes)])) < 0.0:
-        # most of them face inwards: only here, as nothing but their number told which are turned
+        # most of them face inwards; possible only if some were reversed, as their area alone decided which
         facets = np.where(mixed[:, None], facets[:, ::-1], facets)
         turned = int(mixed.sum()) - turned
         holes = _holes(vertices, facets)
@@ -112,9 +115,9 @@ def mend(corners: Array, widest: float) -> Mended:
 
 
 def facing_alike(corners: Array) -> tuple[Array, int]:
-    """Facets (n, 3, 3) [m] of what is printed on, all turned as their neighbours are, and how many were turned.
+    """Facets (n, 3, 3) [m] of a surface to print on, oriented consistently, and how many were reversed.
 
-    Those that hang together face upwards on the whole, or outwards if they are closed; those that face alike in the file
+    Connected facets face upwards on the whole, or outwards if they are closed; those that are consistent in the file
     are left as they are.
     """
     vertices, facets = _shared(corners)
@@ -123,7 +126,7 @@ def facing_alike(corners: Array) -> tuple[Array, int]:
 
 
 def _shared(corners: Array) -> tuple[Array, Ints]:
-    """Vertices (n, 3) [m] and facets (m, 3) between them; those that shrank to a line with two equal corners are left out."""
+    """Vertices (n, 3) [m] and facets (m, 3) between them, without those that shrank to a line (two equal corners)."""
     _, first, number = np.unique(
         np.round(corners.reshape(-1, 3) / _SAME), axis=0, return_index=True, return_inverse=True
     )
@@ -135,16 +138,16 @@ def _proper(facets: Ints) -> Ints:
 
 
 def _edges(facets: Ints) -> tuple[Ints, Flags, Ints]:
-    """Of the three sides of each facet (m, 3), in their order: the number of their edge (3 m), whether it runs from the
-    lower vertex to the higher (3 m), and the edges' ends (k, 2)."""
+    """For the three sides of each facet (m, 3), in order: the index of their edge (3 m), and whether they run from its
+    lower vertex to the higher (3 m); and the ends of all edges (k, 2)."""
     ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=-1).reshape(-1, 2)
     once, number = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
     return number.ravel(), ends[:, 0] < ends[:, 1], once
 
 
 def _joined(vertices: Array, facets: Ints, slit: float) -> tuple[Array, Ints, int, float]:
-    """The same with corners along open edges brought together where they are no farther apart than `slit` [m]; how many
-    were, and the farthest that one was moved."""
+    """Vertices and facets with corners along open edges merged if they are no farther apart than `slit` [m]; how many
+    were merged, and how far one was moved at most [m]."""
     number, _, ends = _edges(facets)
     rim = np.unique(ends[np.bincount(number) % 2 == 1])
     pairs = cKDTree(vertices[rim]).query_pairs(slit, output_type="ndarray") if len(rim) else np.empty((0, 2), dtype=int)
@@ -160,11 +163,12 @@ def _joined(vertices: Array, facets: Ints, slit: float) -> tuple[Array, Ints, in
 
 
 def _turned(vertices: Array, facets: Ints, upward: bool) -> tuple[Ints, int, Flags]:
-    """Facets (m, 3) turned as their neighbours across edges of two are, how many were, and which hang together with any.
+    """Facets (m, 3) oriented like their neighbours across edges of two facets, how many were reversed, and which are in
+    an inconsistent component.
 
-    Each facet stands in a graph twice, as it is and turned round, beside its neighbours as these then have to be. Of a
-    surface with two sides that makes two components: one is taken in which more of the area stays as it is, or, if
-    `upward`, the one that faces upwards or, closed, outwards. What has but one side is left as it is.
+    Each facet is in a graph twice, as it is and reversed, linked to its neighbours as these then have to be. For a
+    two-sided surface this makes two components: the one is taken in which more of the area stays as it is or, if
+    `upward`, the one that faces upwards or, if closed, outwards. A one-sided surface is left as it is.
     """
     m = len(facets)
     number, forward, _ = _edges(facets)
@@ -205,17 +209,17 @@ def _twisted(vertices: Array, facets: Ints) -> Array | None:
 
 
 def _holes(vertices: Array, facets: Ints) -> list[Hole]:
-    """The holes in a skin, found along sides of facets that no side the other way answers."""
+    """The holes in a skin, found along sides of facets without a side that runs the other way."""
     number, forward, ends = _edges(facets)
     balance = np.bincount(number, np.where(forward, 1.0, -1.0)).astype(int)
     lone = np.repeat(np.flatnonzero(balance), np.abs(balance[balance != 0]))
     ahead = (balance[lone] > 0)[:, None]
-    rim = np.where(ahead, ends[lone][:, ::-1], ends[lone])  # the other way round than the facets beside it
+    rim = np.where(ahead, ends[lone][:, ::-1], ends[lone])  # runs opposite to the facets next to it
     return [_closed(vertices, loop) for loop in _loops(rim)]
 
 
 def _loops(rim: Ints) -> list[list[int]]:
-    """Rings of vertices from the ends (n, 2) of sides, of which as many begin as end at each vertex."""
+    """Rings of vertices from the ends (n, 2) of sides; at each vertex as many begin as end."""
     following: dict[int, list[int]] = {}
     for start, end in rim.tolist():
         following.setdefault(start, []).append(end)
@@ -228,7 +232,7 @@ def _loops(rim: Ints) -> list[list[int]]:
                 place[after] = len(way)
                 way.append(after)
                 continue
-            loop = way[place[after] :]  # a ring is complete: what led to it goes on from there
+            loop = way[place[after] :]  # a ring is complete: the path that led to it continues from there
             loops.append(loop)
             for vertex in loop[1:]:
                 del place[vertex]
@@ -237,7 +241,7 @@ def _loops(rim: Ints) -> list[list[int]]:
 
 
 def _closed(vertices: Array, loop: list[int]) -> Hole:
-    """A ring of vertices closed by facets that cut off corner after corner, always the one with the shortest cut."""
+    """A ring of vertices, closed by facets that cut off corner after corner, always the one with the shortest cut."""
     points = vertices[loop]
     n = len(loop)
     before, after = [(i - 1) % n for i in range(n)], [(i + 1) % n for i in range(n)]
@@ -252,7 +256,7 @@ def _closed(vertices: Array, loop: list[int]) -> Hole:
     while len(found) < n - 2:
         _, i, one, other = heapq.heappop(queue)
         if (before[i], after[i]) != (one, other):
-            continue  # a neighbour was cut off since
+            continue  # a neighbour has been cut off since
         found.append((one, i, other))
         after[one], before[other] = other, one
         before[i] = after[i] = -1
@@ -269,7 +273,7 @@ def _areas(corners: Array) -> Array:
 
 
 def _volumes(corners: Array) -> Array:
-    """Of the tetrahedra (n) between facets (n, 3, 3) and a corner of one of them."""
+    """Volumes (n) of the tetrahedra between facets (n, 3, 3) and a corner of one of them."""
     a, b, c = (corners - corners[0, 0]).transpose(1, 0, 2)
     return np.asarray((a * np.cross(b, c)).sum(axis=1) / 6.0)
 

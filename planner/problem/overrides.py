@@ -1,4 +1,4 @@
-"""Values that are set besides a problem file: `dotted.key=value` as after `--set`, or from Python by key or keyword."""
+"""Values set in addition to a problem file: `dotted.key=value` as after `--set`, or from Python by key or keyword."""
 
 from __future__ import annotations
 
@@ -49,18 +49,18 @@ def parse_override(text: str) -> Override:
 
 
 def overrides_of(given: Sequence[str | Mapping[str, Any]], keywords: Mapping[str, Any]) -> tuple[Override, ...]:
-    """What was given from Python, in its order, keywords last.
+    """Overrides given from Python, in their order, keywords last.
 
-    given: `dotted.key=value`, or mappings of a dotted key to a value: a number, text, truth, None, list, array of numbers,
-    path, or mapping, which takes the place of the whole section
-    keywords: the same, `__` in place of a dot
-    Raises InputError that names the argument for what is none of these.
+    given: `dotted.key=value`, or mappings of a dotted key to a value: a number, string, boolean, None, list, array of
+    numbers, path, or mapping, which replaces the whole section
+    keywords: the same, with `__` in place of a dot
+    Raises InputError that names the argument for anything else.
     """
     return tuple(_each(given, keywords))
 
 
 def with_paths(override: Override, paths: Mapping[Keys, Path]) -> Override:
-    """An override with the text at some keys of the problem exchanged for a path; itself where it sets none of them."""
+    """An override with the strings at some keys of the problem replaced by paths; unchanged if it sets none of them."""
     if not any(keys[: len(override.path)] == override.path for keys in paths):
         return override
     value = _with_paths(override.value, override.path, paths)
@@ -92,12 +92,10 @@ def _each(given: Sequence[str | Mapping[str, Any]], keywords: Mapping[str, Any])
 
 
 def _from_python(key: object, value: object, label: str) -> Override:
-    """An override by a key and a value of Python's."""
+    """An override from a key and a value given in Python."""
     path = tuple(key.split(".")) if isinstance(key, str) else ()
     if not path or not all(part.strip() == part and part for part in path):
-        raise InputError(
-            "a key is names with dots between them", field=shorten(label), hint='for example "layers.count"'
-        )
+        raise InputError("a key is names joined by dots", field=shorten(label), hint='for example "layers.count"')
     if len(path) > DEEPEST_NESTING:
         raise InputError("has too many dots", field=shorten(label))
     plain = _plain(value, label)
@@ -105,11 +103,11 @@ def _from_python(key: object, value: object, label: str) -> Override:
 
 
 def _plain(value: object, label: str, depth: int = 0) -> Any:
-    """A value as YAML would give it. Raises InputError for what no problem file can hold."""
+    """A value as YAML would give it. Raises InputError for one that no problem file can hold."""
     if depth > DEEPEST_NESTING:
         raise InputError("is nested too deeply", field=label)
     if isinstance(value, Path):
-        return str(value.absolute())  # a text counts from the problem's folder, a path from this one
+        return str(value.absolute())  # strings are relative to the problem's folder, paths to the working directory
     if value is None or type(value) in (bool, int, float, str):
         return value
     if isinstance(value, np.generic):
@@ -129,7 +127,7 @@ def _plain(value: object, label: str, depth: int = 0) -> Any:
 
 
 def _yaml(value: Any) -> str:
-    """A plain value in one line of YAML from which the very same is read."""
+    """A plain value as one line of YAML that reads back as the very same value."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -165,9 +163,9 @@ def _reads_back(text: str) -> bool:
 def apply_overrides(
     data: dict[str, Any], source: ValueSources, overrides: Sequence[Override]
 ) -> tuple[dict[str, Any], ValueSources]:
-    """Set each of them; raises InputError that names the one that would stand below a value.
+    """Apply overrides to a problem's values; raises InputError that names one whose key would be below a plain value.
 
-    Whether the problem has such a key is for the validation to say, which knows the keys.
+    Whether the problem has such a key is left to the validation, which knows the keys.
     """
     for override in overrides:
         if isinstance(override.value, WaypointArrays):
@@ -182,7 +180,7 @@ def apply_overrides(
 
 
 def printed(toolpath: object) -> Override:
-    """What has a problem print waypoints from arrays. Raises InputError for anything else."""
+    """An override by which a problem prints waypoints from arrays. Raises InputError for anything else."""
     if not isinstance(toolpath, WaypointArrays):
         hint = "planner.Toolpath.from_arrays(points, normals) makes it"
         raise InputError(f"must be waypoints from arrays, not {kind_of(toolpath)}", field="toolpath", hint=hint)
@@ -192,7 +190,7 @@ def printed(toolpath: object) -> Override:
 def _printing(data: dict[str, Any], arrays: WaypointArrays) -> dict[str, Any]:
     """A problem's values with waypoints in place of its layers; they carry their own surface, so there is no part.
 
-    Their material stays, and the height of a layer is that of a bead, where the problem has no other.
+    The layers' material stays, and their height becomes that of beads, unless the problem gives another.
     """
     old, process = data.get("layers"), data.get("process")
     layers: dict[str, Any] = {"source": {"waypoints": arrays, "unit": "m"}}
@@ -206,10 +204,10 @@ def _printing(data: dict[str, Any], arrays: WaypointArrays) -> dict[str, Any]:
 
 
 def _put(data: Any, path: Keys, value: Any, complain: Complaint) -> dict[str, Any]:
-    """Return `data` with the value at `path` replaced, or put there."""
+    """Return `data` with the value at `path` replaced or inserted."""
     if data is None:
         data = {}
     if not isinstance(data, dict):
-        raise complain(f"`{path[0]}` would stand below {describe(data)}, which has no keys", None, None)
+        raise complain(f"`{path[0]}` would go below {describe(data)}, which has no keys", None, None)
     inner = value if len(path) == 1 else _put(data.get(path[0]), path[1:], value, complain)
     return {**data, path[0]: inner}

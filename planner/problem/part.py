@@ -34,7 +34,7 @@ Size = Annotated[tuple[float, float], Quantity("mm", 1, 20_000, count=2)]
 class PlaneSpec(Section):
     """A level or inclined plane, solid beneath."""
 
-    size: Size = key("size_mm", "what it covers around its centre, in x and y of the part frame [mm]")
+    size: Size = key("size_mm", "its extent around the centre, in x and y of the part frame [mm]")
     centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
     slope: Annotated[float, Quantity("deg", 0, 75)] = key(
         "slope_deg", "its angle to the part frame's xy plane [deg]", 0
@@ -45,17 +45,17 @@ class PlaneSpec(Section):
 
 
 class CorrugationSpec(Section):
-    """A sheet of even waves, solid beneath."""
+    """A sheet of regular waves, solid beneath."""
 
     amplitude: Annotated[float, Quantity("mm", 0.001, 1000)] = key(
         "amplitude_mm", "height of its crests above the middle, and depth of its troughs [mm]"
     )
     wavelength: Annotated[float, Quantity("mm", 0.1, 10_000)] = key("wavelength_mm", "from crest to crest [mm]")
-    size: Size = key("size_mm", "what it covers around its centre, in x and y of the part frame [mm]")
+    size: Size = key("size_mm", "its extent around the centre, in x and y of the part frame [mm]")
     direction: Annotated[float, Quantity("deg", -360, 360)] = key(
         "direction_deg", "the direction from crest to crest, counted from x towards y [deg]", 0
     )
-    centre: Position = key("centre_mm", "the middle height below a crest, in the part frame [mm]", (0, 0, 0))
+    centre: Position = key("centre_mm", "the point at mid-height below a crest, in the part frame [mm]", (0, 0, 0))
 
 
 class EllipsoidSpec(Section):
@@ -65,7 +65,7 @@ class EllipsoidSpec(Section):
     centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
 
 
-# How a file of facets becomes a body in millimetres; keys of whatever names such a file.
+# How a file of facets becomes a body in millimetres: keys shared by all sections that name such a file.
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}  # mm
 UnitName = Literal["mm", "cm", "m", "in", "ft", "um"]
@@ -75,22 +75,24 @@ Smooth = Annotated[float, Quantity("mm", 0.05, 5)]
 
 
 def unit_key() -> Unit | None:
-    """The field of a file's unit."""
-    field: Unit | None = key("unit", f"of the file's lengths: {', '.join(UNITS)}; default: what it says, else mm", None)
+    """The field for a file's unit."""
+    field: Unit | None = key(
+        "unit", f"unit of the file's lengths: {', '.join(UNITS)}; default: the one it states, else mm", None
+    )
     return field
 
 
 def scale_key() -> Scale:
-    """The field of the factor that a file is enlarged by."""
-    field: Scale = key("scale", "by how much the file is enlarged about its origin, before it is turned", 1)
+    """The field for the factor by which a file is enlarged."""
+    field: Scale = key("scale", "factor by which the file is enlarged about its origin, before it is turned", 1)
     return field
 
 
 def smooth_key() -> Smooth | None:
-    """The field of how far a smooth surface may leave facets."""
+    """The field for how far a smooth surface may deviate from facets."""
     field: Smooth | None = key(
         "smooth_mm",
-        "how far beads may lie off the facets, on the smoothest surface that keeps to that [mm]; "
+        "how far beads may lie off the facets, on the smoothest surface within that tolerance [mm]; "
         "default: 0.05, and up to 0.5 where facets are coarse or noisy",
         None,
     )
@@ -98,10 +100,10 @@ def smooth_key() -> Smooth | None:
 
 
 class MeshSpec(Section):
-    """A body from a file of facets; what is seen of it from above is printed on."""
+    """A body from a file of facets; beads are laid on what is visible of it from above."""
 
     file: Annotated[Path, PATH] = key(
-        "file", "the file (STL, PLY, OBJ, OFF, 3MF, STEP or IGES), counted from the folder of the problem file"
+        "file", "the file (STL, PLY, OBJ, OFF, 3MF, STEP or IGES), path relative to the problem file's folder"
     )
     unit: Unit | None = unit_key()
     scale: Scale = scale_key()
@@ -114,35 +116,37 @@ class MeshSpec(Section):
     smooth: Smooth | None = smooth_key()
 
 
-NOISIEST_MM = 5.0  # scans: what is farther off is no noise
+NOISIEST_MM = 5.0  # of scans: points farther off are not noise
 
 
 class ScanSpec(Section):
-    """A bed or part as it was scanned: a smooth surface through points or facets with noise, seen from above."""
+    """A bed or part as scanned: a smooth surface through noisy points or facets, seen from above."""
 
     file: Annotated[Path, PATH] = key(
         "file",
-        "the scan: points (PLY, XYZ, TXT, CSV, ASC, PTS, NPY, NPZ) or facets (STL, PLY, OBJ, OFF), counted from the folder of "
-        "the problem file",
+        "the scan: points (PLY, XYZ, TXT, CSV, ASC, PTS, NPY, NPZ) or facets (STL, PLY, OBJ, OFF), path relative to "
+        "the problem file's folder",
     )
     unit: Unit | None = unit_key()
     scale: Scale = scale_key()
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
     rpy: Angles = key("rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0))
     noise: Annotated[float, Quantity("mm", 0.01, NOISIEST_MM)] = key(
-        "noise_mm", "how far points may lie off the smooth surface; where one is farther, the scan is refused [mm]", 0.5
+        "noise_mm",
+        "how far points may lie off the smooth surface; if one is farther off, the scan is refused [mm]",
+        0.5,
     )
     hole: Annotated[float, Quantity("mm", 0.5, 100)] | None = key(
         "hole_mm",
-        "how wide a place without points may be under the curves [mm]; default: five times the usual distance of points, at "
-        "least 2",
+        "how wide a gap without points may be under the curves [mm]; default: five times the usual distance between "
+        "points, at least 2",
         None,
     )
 
 
 Face = int | str  # its number in the file, from 1, or its name
 
-ANY_FACES = "all, or a list of names and numbers, from 1, as they stand in the file"
+ANY_FACES = "all, or a list of names and numbers (from 1) as in the file"
 
 
 def _faces(value: Any) -> Any:
@@ -154,9 +158,9 @@ def _faces(value: Any) -> Any:
         raise refusal("names no face", ANY_FACES)
     for i, face in enumerate(value):
         if type(face) not in (int, str) or face == "":
-            raise refusal(f"is no name and no number of a face: {describe(face)}", ANY_FACES, item=i)
+            raise refusal(f"is neither a name nor a number of a face: {describe(face)}", ANY_FACES, item=i)
         if face in value[:i]:
-            raise refusal(f"{face!r} stands in the list twice", "name each face once", item=i)
+            raise refusal(f"{face!r} appears twice in the list", "name each face once", item=i)
     return tuple(value)
 
 
@@ -166,18 +170,20 @@ Faces = Annotated[tuple[Face, ...] | Literal["all"], BeforeValidator(_faces)]
 class StepSpec(Section):
     """A body from a STEP or IGES file: faces, with material beneath them."""
 
-    file: Annotated[Path, PATH] = key("file", "the file (STEP or IGES), counted from the folder of the problem file")
-    faces: Faces = key("faces", f"the faces that are there: {ANY_FACES}", "all")
+    file: Annotated[Path, PATH] = key("file", "the file (STEP or IGES), path relative to the problem file's folder")
+    faces: Faces = key("faces", f"the faces to use: {ANY_FACES}", "all")
     normals: Annotated[Literal["outward", "inward"], one_of(("outward", "inward"))] = key(
-        "normals", "where the file's faces look: out of the material, or into it, as open sheets may", "outward"
+        "normals", "which way the file's faces point: out of the material, or into it, as open sheets may", "outward"
     )
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
     rpy: Angles = key("rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0))
     thickness: Annotated[float, Quantity("mm", 0, 1000)] = key(
-        "thickness_mm", "of the material beneath open faces [mm]; 0: none, the sheet is printed in the air", 10
+        "thickness_mm",
+        "thickness of the material beneath open faces [mm]; 0: none, the sheet is printed in the air",
+        10,
     )
     sew: Annotated[float, Quantity("mm", 1e-4, 1)] = key(
-        "sew_mm", "how far apart edges of loose faces, as of IGES, may lie and be one [mm]", 1e-2
+        "sew_mm", "how far apart edges of loose faces, as in IGES files, may be and still be joined [mm]", 1e-2
     )
 
 
@@ -190,14 +196,14 @@ class PartSpec(Section):
     sphere: SphereSpec | None = key("sphere", "a ball or a dome; default: none", None)
     ellipsoid: EllipsoidSpec | None = key("ellipsoid", "an ellipsoid, or a dome or bowl of it; default: none", None)
     plane: PlaneSpec | None = key("plane", "a level or inclined plane; default: none", None)
-    corrugation: CorrugationSpec | None = key("corrugation", "a sheet of even waves; default: none", None)
+    corrugation: CorrugationSpec | None = key("corrugation", "a sheet of regular waves; default: none", None)
     mesh: MeshSpec | None = key("mesh", "a file of facets; default: none", None)
     scan: ScanSpec | None = key("scan", "a scan with noise, smoothed; default: none", None)
     step: StepSpec | None = key("step", "faces of a STEP or IGES file; default: none", None)
 
     @property
     def body(self) -> str:
-        """Which of them it is, by its key."""
+        """The key of the body that is given."""
         return next(name for name in type(self).model_fields if getattr(self, name) is not None)
 
     @model_validator(mode="after")

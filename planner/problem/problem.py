@@ -1,7 +1,7 @@
 """The problem: one YAML file as frozen SI values, or one error with its place, reason and hint.
 
 The keys of the file are the fields' aliases, in mm and degrees. The names of attributes carry no unit, because they are
-SI (m, s, rad). What a value may be, and why, stands with its field.
+SI (m, s, rad). What values are allowed, and why, is documented with each field.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from planner.problem.yaml_file import (
 
 Mistake = tuple[Keys, str, str | None]  # path, reason, hint
 Model = type[BaseModel]
-# Pydantic's marks in a path: of a key, of a kind of section
+# Pydantic's own entries in a path, for a key or a kind of section
 _NOT_IN_THE_FILE = ("[key]", *(kind.tag for kind in KINDS))
 
 Identifier = Annotated[str, IDENTIFIER]
@@ -102,13 +102,13 @@ def _mistake(detail: ErrorDetails, source: ValueSources, model: Model) -> Mistak
 
 
 def _culprit(section: Keys, fields: Sequence[str], source: ValueSources) -> Keys:
-    """Of fields that contradict each other, the one that came last; the section itself if none is there."""
+    """The last given of several fields that contradict each other; the section itself if none is given."""
     there = [path for path in ((*section, field) for field in fields) if path in source.lines or source.override(path)]
     return max(there, key=lambda path: (source.override(path) is not None, source.line(path) or 0), default=section)
 
 
 def _section(model: Model, path: Keys) -> Model:
-    """The model of the section at `path`; names that the user chose, such as joints, are passed over."""
+    """The model of the section at `path`; names that the user chose, such as joints, are skipped."""
     section = model
     for i, step in enumerate(path):
         for name, field in section.model_fields.items():
@@ -130,7 +130,7 @@ def _models(annotation: Any) -> dict[Any, Model]:
             tags = [mark.tag for mark in marks if isinstance(mark, Tag)]
         if isinstance(choice, type) and issubclass(choice, BaseModel):
             found.update(dict.fromkeys(tags, choice))
-        elif choice is not annotation and get_origin(choice) is dict:  # sections by names of the user's, or none
+        elif choice is not annotation and get_origin(choice) is dict:  # sections by names that the user chose, or none
             found.update(_models(choice))
     return found
 
@@ -141,35 +141,33 @@ def _keys(model: Model, path: Keys) -> list[str]:
 
 
 def _description(model: Model, path: Keys) -> str | None:
-    """What the field at `path` is, in words."""
+    """The description of the field at `path`."""
     fields = _section(model, path[:-1]).model_fields.values()
     return next((field.description for field in fields if field.alias == path[-1]), None)
 
 
 class Problem(Section):
-    """One print: everything that the planner is told.
+    """One print: all input to the planner.
 
     In SI units; made by `load_problem`.
     """
 
-    name: Identifier = key("name", "name of the problem: of its results' folder and of the robot program")
+    name: Identifier = key("name", "name of the problem, its results folder and the robot program")
     cell: CellSpec = key("cell", "arm, nozzle, and what carries the part")
-    layers: AnyLayersSpec = key("layers", "what is printed")
-    part: PartSpec | None = key(
-        "part", "the body to print on, where curves are wrapped or projected; default: none", None
-    )
+    layers: AnyLayersSpec = key("layers", "what to print")
+    part: PartSpec | None = key("part", "the body to print on, if curves are wrapped or projected; default: none", None)
     process: ProcessSpec = key("process", "how material is laid down")
     strategy: Annotated[StrategyName, one_of(STRATEGY_NAMES)] = key(
-        "strategy", f"how the free motion is decided: {', '.join(STRATEGY_NAMES)}", "sqp"
+        "strategy", f"how the redundant motion is chosen: {', '.join(STRATEGY_NAMES)}", "sqp"
     )
     resolve: ResolveSpec = key("resolve", "settings of the search; each has a default", {})
-    collision: CollisionSpec = key("collision", "how far everything keeps apart; each has a default", {})
+    collision: CollisionSpec = key("collision", "least distances between bodies; each has a default", {})
     program: ProgramSpec = key("program", "names in the robot program, and how fine it is; each has a default", {})
     as_printed: AsPrintedSpec | None = key(
-        "as_printed", "what a scan found of the layers that are printed; default: nothing is printed yet", None
+        "as_printed", "what a scan found of the layers already printed; default: nothing is printed yet", None
     )
     as_run: AsRunSpec | None = key(
-        "as_run", "what runs of the program taught; default: the program asks for the plan as it is", None
+        "as_run", "corrections learned from runs of the program; default: the program follows the plan as it is", None
     )
     _source: ValueSources = PrivateAttr()
 
@@ -191,12 +189,14 @@ class Problem(Section):
         layers, given = info.data.get("layers"), "height" in process.bead.model_fields_set
         if isinstance(layers, GcodeLayersSpec):
             if given:
-                raise refusal("height_mm stands in the G-code", "leave it out", item="bead")
+                raise refusal("height_mm comes from the G-code", "leave it out", item="bead")
             return process
         if given or layers is None:
             return process
         if isinstance(layers, WaypointLayersSpec):
-            raise refusal("height_mm is missing", "height of a bead [mm]; a file of waypoints has none", item="bead")
+            raise refusal(
+                "height_mm is missing", "give the height of a bead [mm]: a file of waypoints has none", item="bead"
+            )
         bead = process.bead.model_copy(update={"height": layers.height})
         return process.model_copy(update={"bead": bead})
 
@@ -206,13 +206,13 @@ class Problem(Section):
         bead = process.bead
         if process.section == "rounded" and bead.width < bead.height:
             size = f"{bead.width * 1e3:g} mm wide and {bead.height * 1e3:g} mm high"
-            raise refusal(f"a rounded bead cannot be {size}", "at least as wide as high", item="bead")
+            raise refusal(f"a rounded bead cannot be {size}", "make it at least as wide as high", item="bead")
         return process
 
     @field_validator("process")
     @classmethod
     def _corners_within_the_bead(cls, process: ProcessSpec) -> ProcessSpec:
-        """Corners of narrow beads are rounded by a share of their width at most, where nothing is said of that."""
+        """Unless the tolerance is given, corners of narrow beads are rounded by at most a share of their width."""
         if "corner_tolerance" in process.model_fields_set:
             return process
         most = CORNER_SHARE * process.bead.width
@@ -221,7 +221,7 @@ class Problem(Section):
     @field_validator("resolve")
     @classmethod
     def _as_its_paper(cls, resolve: ResolveSpec, info: ValidationInfo) -> ResolveSpec:
-        """The published way of the paper that prints such things."""
+        """Unless one is given, the published strategy of the paper that prints such parts."""
         layers, process = info.data.get("layers"), info.data.get("process")
         if "published" in resolve.model_fields_set or layers is None or process is None:
             return resolve
@@ -234,7 +234,7 @@ class Problem(Section):
     @field_validator("program")
     @classmethod
     def _as_fine_as_its_beads(cls, program: ProgramSpec, info: ValidationInfo) -> ProgramSpec:
-        """Lines of the program leave low beads by a share of their height at most, where nothing is said of that."""
+        """Unless the tolerance is given, lines of the program are off low beads by at most a share of their height."""
         process = info.data.get("process")
         if process is None or "chord" in program.model_fields_set:
             return program
@@ -242,7 +242,7 @@ class Problem(Section):
         return program.model_copy(update={"chord": finest}) if finest < program.chord else program
 
     def model_post_init(self, context: Any) -> None:
-        """Keep the places of the values, which come as the validation's context."""
+        """Keep the sources of the values, which come as the validation context."""
         self._source = context
 
     @property
@@ -257,11 +257,11 @@ class Problem(Section):
 
     @property
     def overrides(self) -> tuple[str, ...]:
-        """The `dotted.key=value` that were applied to the file."""
+        """The overrides applied to the file, as `dotted.key=value`."""
         return tuple(override.words for override in self._source.overrides)
 
     def changed(self, overrides: Sequence[str | Override]) -> Problem:
-        """The problem read once more, with further overrides after its own; raises InputError as `load_problem` does."""
+        """The problem read again, with further overrides after its own; raises InputError as `load_problem` does."""
         return load_problem(self.file, (*self._source.overrides, *overrides))
 
     def nozzle_of(self, material: str) -> NozzleSpec:
@@ -271,13 +271,13 @@ class Problem(Section):
 
     @property
     def from_arrays(self) -> bool:
-        """Whether it prints what stands in no file."""
+        """Whether its waypoints are arrays from Python, not a file."""
         return isinstance(self.layers, WaypointLayersSpec) and not isinstance(self.layers.source.waypoints, Path)
 
     def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
         """Return the error of a field, dotted as in the file (`cell.arm`), with its file and line, or its `--set`.
 
-        A whole number in it counts items of a list from 0.
+        Whole numbers in it are indices of list items, from 0.
         """
         path = tuple(int(key) if key.isdecimal() else key for key in field.split("."))
         return self._source.error(path, reason, hint)
@@ -286,8 +286,8 @@ class Problem(Section):
 def load_problem(path: str | Path, overrides: Sequence[str | Override] = ()) -> Problem:
     """Read a problem file, or a shipped problem by name, with `dotted.key=value` overrides applied before validation.
 
-    Raises one InputError for whatever is wrong: the first mistake by line, and how many more there are. The drawing
-    that the problem names is not opened.
+    Raises one InputError for all mistakes: the first by line, and how many more there are. The drawing that the problem
+    names is not opened.
     """
     data, source = read_problem_file(find_problem(path))
     read = [parse_override(each) if isinstance(each, str) else each for each in overrides]
@@ -296,7 +296,7 @@ def load_problem(path: str | Path, overrides: Sequence[str | Override] = ()) -> 
 
 
 def parse_problem(text: str, file: Path) -> Problem:
-    """Read a problem from its text, as if it stood in a file that need not be there yet; raises InputError."""
+    """Read a problem from its text, as if from a file, which need not exist yet; raises InputError."""
 
     def complain(reason: str, line: int | None, hint: str | None) -> InputError:
         return InputError(reason, file=file, line=line, hint=hint)

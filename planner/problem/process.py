@@ -1,6 +1,6 @@
 """What happens along and around a bead: the section `process` of the problem file.
 
-Temperatures stay in degrees Celsius, which every printer's board takes; so their names carry the unit.
+Temperatures stay in degrees Celsius, the unit of every printer's board, so their names carry the unit.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ SECTIONS: tuple[str, ...] = get_args(SectionName)
 MOTORS: tuple[str, ...] = get_args(MotorName)
 
 MaterialName = Annotated[str, IDENTIFIER]
-CUT_PAUSE = 0.5  # s; Tawfik et al., section III.B: the cutter, on a fan's output, closes and opens in so long each
+CUT_PAUSE = 0.5  # s for the cutter, on a fan's output, to close, and again to open; Tawfik et al., section III.B
 MOST_LINES = 20
-CORNER_SHARE = 0.5  # of a bead's width, by which corners are rounded at most where nothing is said
-KLIPPER_LACKS = ("M42", "M280")  # of the orders that a cut may have
+CORNER_SHARE = 0.5  # × a bead's width: the most that corners are rounded by default
+KLIPPER_LACKS = ("M42", "M280")  # commands of a cut that Klipper does not have
 _COMMAND = r"(M(42|106|107|280)( [A-FH-LO-Z]-?\d{1,6}(\.\d{1,4})?)*|G4 P\d{1,6})"
 _ORDER = re.compile(f"{_COMMAND}( {_COMMAND})*")
-SHARING = ("reprap",)  # firmwares that take several commands in a line
+SHARING = ("reprap",)  # firmwares that take several commands on a line
 
 FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, the end of the fibre sticks
 Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
@@ -73,17 +73,17 @@ class BeadSpec(Section):
     """Cross-section of a bead."""
 
     width: Thickness = key("width_mm", "width [mm]")
-    # NaN where the G-code says how high its beads are; else until the layers' height is put in its place.
+    # NaN if the G-code gives the heights of its beads, and otherwise until the layers' height replaces it.
     height: Thickness = Field(
         default_factory=lambda: math.nan,
         validate_default=False,
         alias="height_mm",
-        description="height [mm]; default layers.height_mm, where that is given",
+        description="height [mm]; default layers.height_mm, if that is given",
     )
     section: Annotated[SectionName, one_of(SECTIONS)] | None = key(
         "section",
-        "shape: rectangle, width times height; rounded, half a circle at both sides; "
-        "fibre, as thick as the filament, which is fed as fast as it is laid; default rectangle, or fibre with fibre",
+        "shape: rectangle, width times height; rounded, half a circle at both sides; fibre, as thick as the "
+        "filament, which is fed as fast as it is laid; default rectangle, or fibre with process.fibre",
         None,
     )
 
@@ -94,7 +94,7 @@ class ExtruderSpec(Section):
     motor: Annotated[MotorName, one_of(MOTORS)] = key(
         "motor",
         "how it is driven: e_axis, an axis of its own; speed_demand, in proportion to the nozzle's real speed; "
-        "on_off, at the commanded speed's rate as long as a bead is laid",
+        "on_off, at the commanded speed's rate while a bead is laid",
         "e_axis",
     )
     lag: Annotated[float, Quantity("s", 0, 2)] = key(
@@ -102,8 +102,8 @@ class ExtruderSpec(Section):
     )
     flow_tolerance: Annotated[float, Quantity("", 0.005, 10)] = key(
         "flow_tolerance",
-        "with on_off, by what share a millimetre of a bead may have more or less than it holds, off its first and last 2 mm, or "
-        "four widths of a bead narrower than 0.5 mm",
+        "with on_off, the share by which the material in any millimetre of a bead may be off, except in its first "
+        "and last 2 mm, or four widths of a bead narrower than 0.5 mm",
         0.1,
     )
 
@@ -117,13 +117,13 @@ class ExtruderSpec(Section):
     @model_validator(mode="after")
     def _a_motor_that_follows_needs_no_tolerance(self) -> ExtruderSpec:
         if self.motor != "on_off" and "flow_tolerance" in self.model_fields_set:
-            reason = f"flow follows the speed with {self.motor}: flow_tolerance is of on_off"
-            raise refusal(reason, "leave out flow_tolerance, or take motor: on_off", fields=["motor", "flow_tolerance"])
+            reason = f"with {self.motor}, flow follows the speed: flow_tolerance is for on_off"
+            raise refusal(reason, "leave out flow_tolerance, or set motor: on_off", fields=["motor", "flow_tolerance"])
         return self
 
 
 def material_key(whose: str, default: str = "the first one there") -> MaterialName | None:
-    """The field of a section of `layers` that names a material."""
+    """The field for the material of a section of `layers`."""
     text = f"material of {whose}, by its name in process.materials; default: {default}"
     field: MaterialName | None = key("material", text, None)
     return field
@@ -132,8 +132,8 @@ def material_key(whose: str, default: str = "the first one there") -> MaterialNa
 class FilamentMoveSpec(Section):
     """Filament that the extruder pushes or pulls while nothing is deposited."""
 
-    length: Annotated[float, Quantity("mm", 0, 100)] = key("length_mm", "of filament [mm]; 0 is none", 0)
-    speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key("speed_mm_s", "of the filament [mm/s]", 25)
+    length: Annotated[float, Quantity("mm", 0, 100)] = key("length_mm", "length of filament [mm]; 0 is none", 0)
+    speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key("speed_mm_s", "speed of the filament [mm/s]", 25)
 
     @property
     def time(self) -> float:
@@ -142,15 +142,15 @@ class FilamentMoveSpec(Section):
 
 
 class MaterialSpec(Section):
-    """One of several materials: the tool that feeds it, and what it needs otherwise than `process` says."""
+    """One of several materials: the tool that feeds it, and where it differs from `process`."""
 
     tool: Annotated[int, Quantity("", 0, 99, whole=True)] | None = key(
         "tool", "number of its tool in the G-code; default: its place in the list, from 0", None
     )
     extruder_signal: Annotated[str, IDENTIFIER] | None = key(
         "extruder_signal",
-        "the digital output of its extruder in RAPID; default: program.extruder_signal, with the tool's number behind "
-        "it but for the first one",
+        "the digital output of its extruder in RAPID; default: program.extruder_signal, with the tool's number "
+        "appended for all but the first material",
         None,
     )
     nozzle: Annotated[str, IDENTIFIER] | None = key(
@@ -162,9 +162,11 @@ class MaterialSpec(Section):
     nozzle_c: Annotated[float, Quantity("°C", 20, 500)] | None = key(
         "nozzle_c", "temperature of its nozzle [°C]; default: process.start.nozzle_c", None
     )
-    prime: FilamentMoveSpec | None = key("prime", "filament pushed until a bead starts; default: process.prime", None)
+    prime: FilamentMoveSpec | None = key(
+        "prime", "filament pushed just before a bead starts; default: process.prime", None
+    )
     retract: FilamentMoveSpec | None = key(
-        "retract", "filament pulled back from a bead's end on; default: process.retract", None
+        "retract", "filament pulled back as soon as a bead ends; default: process.retract", None
     )
 
 
@@ -178,7 +180,7 @@ class ChangeSpec(Section):
         "purge_mm", "filament of the new material pushed out then [mm]; 0 is none", 0
     )
     purge_speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key(
-        "purge_speed_mm_s", "speed of the filament in it [mm/s]", 5
+        "purge_speed_mm_s", "speed of the filament while purging [mm/s]", 5
     )
 
     @property
@@ -188,7 +190,7 @@ class ChangeSpec(Section):
 
 
 def signals(problem: Problem) -> dict[str, str]:
-    """The digital output in RAPID that switches the extruder of each material, by its name."""
+    """Material name → the digital output in RAPID that switches its extruder."""
     process, found = problem.process, {}
     for i, (name, spec) in enumerate(process.materials.items()):
         usual = problem.program.extruder_signal
@@ -197,7 +199,7 @@ def signals(problem: Problem) -> dict[str, str]:
 
 
 def check_materials(problem: Problem) -> None:
-    """Raise the InputError of a name that is no material's, and of a digital output that has two names or two uses."""
+    """Raise InputError for an unknown material or nozzle, and for a name that is too long for RAPID or used twice."""
     names = list(problem.process.materials)
     parts = [(f"layers.{part}", getattr(problem.layers, part, None)) for part in ("support", "infill")]
     for field, section in (("layers", problem.layers), *parts):
@@ -220,17 +222,17 @@ def check_materials(problem: Problem) -> None:
         field = f"process.materials.{name}.extruder_signal"
         if len(signal) > LONGEST_NAME:
             raise problem.error(field, f"{signal!r} is too long for RAPID", f"at most {LONGEST_NAME} characters")
-        first = taken.setdefault(signal.lower(), name)  # RAPID does not tell capitals from small letters
+        first = taken.setdefault(signal.lower(), name)  # RAPID ignores case
         if first != name:
             raise problem.error(field, f"{signal!r} is already the name of {first}", "give each its own name")
 
 
 def check_nozzles(problem: Problem) -> None:
-    """Raise the InputError of a material without a nozzle where there are several, and of a nozzle that there is not."""
+    """Raise InputError for a material without a nozzle where there are several, and for an unknown nozzle."""
     nozzles, materials = list(problem.cell.nozzles), problem.process.materials
     if nozzles and not materials:
-        hint = "one nozzle as cell.nozzle, or materials, each with its nozzle"
-        raise problem.error("cell.nozzles", "there are no process.materials that they lay", hint)
+        hint = "give one nozzle as cell.nozzle, or materials, each with its nozzle"
+        raise problem.error("cell.nozzles", "there are no process.materials for them to lay", hint)
     for name, spec in materials.items():
         field = f"process.materials.{name}.nozzle"
         if spec.nozzle is None and nozzles:
@@ -244,7 +246,7 @@ def check_nozzles(problem: Problem) -> None:
 
 
 def check_board(problem: Problem) -> None:
-    """Raise the InputError of a tool that the extruder's board has not, or of an order or input that its firmware has not."""
+    """Raise InputError for a tool that the extruder's board lacks, or a command or input that its firmware lacks."""
     process, board = problem.process, problem.program.board
     for name in process.materials:
         tool = process.tool(name)
@@ -253,18 +255,18 @@ def check_board(problem: Problem) -> None:
             raise problem.error(f"process.materials.{name}.tool", f"the board has no tool {tool}", hint)
     last = board.input + max(len(process.materials), 1) - 1
     if board.sync == "signal" and last >= INPUTS[board.firmware]:
-        reason = f"{len(process.materials)} materials go up to input {last}, which {board.firmware} has not"
+        reason = f"{len(process.materials)} materials need inputs up to {last}, which {board.firmware} does not have"
         raise problem.error("program.board.input", reason, f"at most {INPUTS[board.firmware] - len(process.materials)}")
     code = () if process.fibre is None else process.fibre.code
     shared = next((line for line in code if len(commands_in(line)) > 1), None)
     if shared is not None and board.firmware not in SHARING:
-        reason = f"{board.firmware} takes one command a line, not {shared!r}"
+        reason = f"{board.firmware} takes one command per line, not {shared!r}"
         raise problem.error("process.fibre.cut_code", reason, f"[{', '.join(commands_in(shared))}]")
     if board.firmware != "klipper":
         return
     if process.fan is not None and process.fan.number:
-        reason = f"Klipper's M106 knows no fan {process.fan.number}"
-        raise problem.error("process.fan.number", reason, "its fan is 0")
+        reason = f"Klipper's M106 has no fan {process.fan.number}"
+        raise problem.error("process.fan.number", reason, "its only fan is 0")
     for command in process.fibre.commands if process.fibre is not None else ():
         if command.startswith(KLIPPER_LACKS):
             reason = f"Klipper has no {command.split(' ')[0]}, which cuts the fibre"
@@ -272,7 +274,7 @@ def check_board(problem: Problem) -> None:
 
 
 def _fan_of(command: str) -> int | None:
-    """The fan output that a command of G-code switches: without P the first one."""
+    """The fan output that a G-code command switches (without P, the first one); None for other commands."""
     word, *parameters = command.split()
     if word not in ("M106", "M107"):
         return None
@@ -280,12 +282,12 @@ def _fan_of(command: str) -> int | None:
 
 
 def _order(value: Any) -> str:
-    """One line of a board's macro: outputs (M42, M106, M107), servos (M280), and pauses in milliseconds, one or several."""
+    """A line of a board's macro: one or more outputs (M42, M106, M107), servos (M280) and pauses in milliseconds."""
     if not isinstance(value, str):
         raise refusal(f"must be a line of G-code, not {describe(value)}", "quote it, for example 'M106 P0 S1'")
     if not _ORDER.fullmatch(value):
         raise refusal(
-            f"{describe(value)} cannot stand here",
+            f"{describe(value)} cannot be used here",
             "M42, M106, M107 or M280 with their words, or a pause such as G4 P500",
         )
     return value
@@ -303,20 +305,20 @@ CutCode = Annotated[
 
 
 def usual_cut(wait: float) -> tuple[str, ...]:
-    """The published macro of a cut, its two pauses no longer than a wait [s] together."""
+    """The published macro of a cut, with its two pauses together no longer than `wait` [s]."""
     ms = int(min(CUT_PAUSE, 0.5 * wait) * 1e3)
     pause = (f"G4 P{ms}",) if ms else ()
     return ("M106 P0 S1", *pause, "M106 P0 S0", *pause)
 
 
 class FanSpec(Section):
-    """The fan that cools what is printed."""
+    """The fan that cools the print."""
 
     speed: Annotated[float, Quantity("", 0.01, 1)] = key("speed", "share of its full speed", 1)
     from_layer: Annotated[int, Quantity("", 1, 100_000, whole=True)] = key(
         "from_layer", "the first layer that it cools, counted from 1", 2
     )
-    number: Annotated[int, Quantity("", 0, 31, whole=True)] = key("number", "of its output (P of M106)", 0)
+    number: Annotated[int, Quantity("", 0, 31, whole=True)] = key("number", "number of its output (P of M106)", 0)
 
 
 class StartSpec(Section):
@@ -326,20 +328,20 @@ class StartSpec(Section):
         "nozzle_c", "temperature of the nozzle [°C]; default: it is not set", None
     )
     bed_c: Annotated[float, Quantity("°C", 20, 300)] | None = key(
-        "bed_c", "temperature of what carries the part [°C]; default: it is not set", None
+        "bed_c", "temperature of the bed that carries the part [°C]; default: it is not set", None
     )
     heat_wait: Wait = key("heat_wait_s", "time that the robot waits at home while nozzle and bed heat up [s]", 0)
     heat: Annotated[Heating, one_of(HEATINGS)] = key(
         "heat",
-        "whether the extruder's board only sets temperatures, or waits for them before its time begins; "
+        "whether the extruder's board only sets temperatures, or waits for them before its clock starts; "
         f"{' or '.join(HEATINGS)}",
         "set",
     )
     purge: Annotated[float, Quantity("mm", 0, 1000)] = key(
-        "purge_mm", "filament pushed out at home when all is hot [mm]; 0 is none", 0
+        "purge_mm", "filament pushed out at home once everything is hot [mm]; 0 is none", 0
     )
     purge_speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key(
-        "purge_speed_mm_s", "speed of the filament in it [mm/s]", 5
+        "purge_speed_mm_s", "speed of the filament while purging [mm/s]", 5
     )
 
     @property
@@ -352,26 +354,26 @@ class FibreSpec(Section):
     """Continuous fibre, cut inside the head so that it ends where the bead does."""
 
     cut_length: Annotated[float, Quantity("mm", 1, 500)] = key(
-        "cut_length_mm", "from the cutter to the nozzle's tip along the fibre [mm]"
+        "cut_length_mm", "length of fibre from the cutter to the nozzle's tip [mm]"
     )
     cut_wait: Annotated[float, Quantity("s", 0, 600)] = key(
         "cut_wait_s", "time that the nozzle rests on the bead while the fibre is cut [s]", 3
     )
     clearance: Annotated[float, Quantity("mm", 1, 500)] | None = key(
-        "clearance_mm", "height to which the nozzle leaves a bead along the normal [mm]; default: lift_mm", None
+        "clearance_mm", "height to which the nozzle rises from a bead along the normal [mm]; default: lift_mm", None
     )
     least_laid: Annotated[float, Quantity("mm", 1, 500)] = key(
         "least_laid_mm", "least length laid before the cut, whose adhesion holds the fibre [mm]", 5
     )
     least_radius: Annotated[float, Quantity("mm", 0.1, 10_000)] | None = key(
         "least_radius_mm",
-        "least radius to which the fibre may be steered on the surface (of its geodesic curvature) [mm]; default: any",
+        "least radius of geodesic curvature to which the fibre may be steered on the surface [mm]; default: any",
         None,
     )
     cut_code: CutCode | None = key(
         "cut_code",
         "G-code of the cut: outputs and servos, and pauses (G4 P, milliseconds) no longer than cut_wait_s in all; with "
-        "reprap a line may have several commands; default: fan output 0 on and off, as published",
+        "reprap, a line may hold several commands; default: fan output 0 on and off, as published",
         None,
     )
 
@@ -379,23 +381,23 @@ class FibreSpec(Section):
     def _cut_in_time(self) -> FibreSpec:
         takes = self.code_time
         if takes > self.cut_wait + 1e-9:
-            reason = f"the pauses of cut_code take {takes:g} s, and cut_wait_s is {self.cut_wait:g}"
+            reason = f"the pauses of cut_code take {takes:g} s, but cut_wait_s is {self.cut_wait:g}"
             raise refusal(reason, "wait longer, or pause less", fields=["cut_wait_s", "cut_code"])
         return self
 
     @property
     def code(self) -> tuple[str, ...]:
-        """What the extruder's board is told to cut the fibre, which takes no longer than the wait."""
+        """Lines of G-code with which the extruder's board cuts the fibre, no longer than the wait."""
         return usual_cut(self.cut_wait) if self.cut_code is None else self.cut_code
 
     @property
     def commands(self) -> tuple[str, ...]:
-        """Its commands, each alone."""
+        """The commands of `code`, one by one."""
         return tuple(command for line in self.code for command in commands_in(line))
 
     @property
     def code_time(self) -> float:
-        """How long that takes [s]."""
+        """How long the pauses of `code` take [s]."""
         return time_of(self.code)
 
     @property
@@ -412,8 +414,8 @@ class AroundBeadSpec(Section):
     )
     ramp_angle: Annotated[float, Quantity("deg", 5, 60)] | None = key(
         "ramp_deg",
-        "angle to the surface at which a run-in comes down and a run-out leaves, on a straight line [deg]; "
-        f"default: none, but a rise with the cube of the distance; with fibre {FIBRE_RAMP_DEG}",
+        "angle to the surface at which a straight run-in comes down and a straight run-out leaves [deg]; "
+        f"default: none, the height grows with the cube of the distance instead; with fibre {FIBRE_RAMP_DEG}",
         None,
     )
     lift_height: Annotated[float, Quantity("mm", 1, 500)] = key(
@@ -421,20 +423,20 @@ class AroundBeadSpec(Section):
     )
     travel: Annotated[TravelName, one_of(TRAVELS)] | None = key(
         "travel",
-        "the way between beads: quickest, whatever is clear; upright, up along the normal by lift_mm, across, and down along "
-        "the normal, at rest in between; default: quickest, or upright with fibre",
+        "how to travel between beads: quickest, on any clear path; upright, up along the normal by lift_mm, across, "
+        "and down along the normal, with stops in between; default: quickest, or upright with fibre",
         None,
     )
     hand_over: Annotated[HandOver, one_of(HAND_OVERS)] = key(
         "hand_over",
-        "how travel and a bead's runs meet: at rest, or in motion, which fibre does not allow",
+        "how travel joins run-ins and run-outs: at rest, or in motion, which fibre does not allow",
         "rest",
     )
-    prime: FilamentMoveSpec = key("prime", "filament pushed until a bead starts; default: none", {})
-    retract: FilamentMoveSpec = key("retract", "filament pulled back from a bead's end on; default: none", {})
+    prime: FilamentMoveSpec = key("prime", "filament pushed just before a bead starts; default: none", {})
+    retract: FilamentMoveSpec = key("retract", "filament pulled back as soon as a bead ends; default: none", {})
     start: StartSpec = key("start", "heating and purge at home before the first move; default: none", {})
     fibre: FibreSpec | None = key("fibre", "continuous fibre and its cut; default: none", None)
-    fan: FanSpec | None = key("fan", "the fan that cools what is printed; default: it is left alone", None)
+    fan: FanSpec | None = key("fan", "the fan that cools the print; default: it is left alone", None)
 
     @model_validator(mode="after")
     def _one_clearance(self) -> AroundBeadSpec:
@@ -448,7 +450,7 @@ class AroundBeadSpec(Section):
         for name, move in (("prime", self.prime), ("retract", self.retract)):
             if self.fibre is not None and move.length > 0.0:
                 raise refusal(
-                    f"{name}.length_mm is {move.length * 1e3:g}, and there is fibre",
+                    f"{name}.length_mm is {move.length * 1e3:g}, but there is fibre",
                     "leave it out: cut fibre is not pulled back, and is fed forward by fibre.cut_length_mm",
                     fields=["fibre", name],
                 )
@@ -459,49 +461,53 @@ class AroundBeadSpec(Section):
         if self.fibre is not None and self.fan is not None:
             taken = [each for each in self.fibre.commands if _fan_of(each) == self.fan.number]
             if taken:
-                reason = f"fan output {self.fan.number} is the cutter's ({taken[0]})"
-                raise refusal(reason, "give fan.number, or fibre.cut_code", fields=["fan", "fibre"])
+                reason = f"fan output {self.fan.number} is taken by the cutter ({taken[0]})"
+                raise refusal(reason, "give another fan.number, or another fibre.cut_code", fields=["fan", "fibre"])
         return self
 
     @model_validator(mode="after")
     def _fibre_rests(self) -> AroundBeadSpec:
         if self.fibre is not None and self.hand_over == "motion":
-            reason = "hand_over is motion, and there is fibre"
+            reason = "hand_over is motion, but there is fibre"
             raise refusal(reason, "leave it out: a fibre's bead begins and ends at rest", fields=["fibre", "hand_over"])
         return self
 
     @model_validator(mode="after")
     def _upright_rests(self) -> AroundBeadSpec:
         if self.travel == "upright" and self.hand_over == "motion":
-            reason = "hand_over is motion, and travel upright"
-            raise refusal(reason, "leave out one: the nozzle rests before it rises", fields=["travel", "hand_over"])
+            reason = "hand_over is motion, but travel is upright"
+            raise refusal(
+                reason, "leave one of them out: the nozzle rests before it rises", fields=["travel", "hand_over"]
+            )
         if self.travel == "quickest" and self.fibre is not None:
-            reason = "travel is quickest, and there is fibre"
-            raise refusal(reason, "leave it out: a fibre's end is left upright", fields=["travel", "fibre"])
+            reason = "travel is quickest, but there is fibre"
+            raise refusal(
+                reason, "leave it out: the nozzle leaves the end of a fibre upright", fields=["travel", "fibre"]
+            )
         return self
 
     @property
     def travels_upright(self) -> bool:
-        """Whether the nozzle leaves and reaches beads along the normal, at rest before it goes across."""
+        """Whether the nozzle leaves and reaches beads along the normal, and stops before it moves across."""
         return self.fibre is not None or self.travel == "upright"
 
     @property
     def ramp(self) -> float | None:
-        """Angle of run-in and run-out to the surface [rad]; None for a rise with the cube of the distance."""
+        """Angle of run-in and run-out to the surface [rad]; None if the height grows with the cube of the distance."""
         if self.ramp_angle is None and self.fibre is not None:
             return math.radians(FIBRE_RAMP_DEG)
         return self.ramp_angle
 
     @property
     def lift(self) -> float:
-        """Least height of travel above the surface [m]: the clearance after a fibre, where that is given."""
+        """Least height of travel above the surface [m]: the fibre's clearance, if that is given."""
         if self.fibre is None or self.fibre.clearance is None:
             return self.lift_height
         return self.fibre.clearance
 
     @property
     def prime_length(self) -> float:
-        """Filament pushed before each bead [m]; of a fibre, what reaches from the cutter to the nozzle's tip."""
+        """Filament pushed before each bead [m]; with fibre, its length from the cutter to the nozzle's tip."""
         return self.prime.length if self.fibre is None else self.fibre.cut_length
 
 
@@ -509,18 +515,20 @@ class ConesSpec(Section):
     """How far the nozzle and the layer may lean, as half angles of cones."""
 
     tilt: Annotated[float, Quantity("deg", 0, 60)] = key(
-        "nozzle_normal_deg", "nozzle axis from the surface normal [deg]; 0 keeps it on the normal", 0
+        "nozzle_normal_deg",
+        "greatest angle of the nozzle axis to the surface normal [deg]; 0 keeps it on the normal",
+        0,
     )
     nozzle_gravity: Annotated[float, Quantity("deg", 1, 180)] = key(
-        "nozzle_gravity_deg", "nozzle axis from straight down [deg]; 180 is free", 180
+        "nozzle_gravity_deg", "greatest angle of the nozzle axis to straight down [deg]; 180 is free", 180
     )
     layer_gravity: Annotated[float, Quantity("deg", 1, 180)] = key(
-        "layer_gravity_deg", "surface normal from straight up [deg]; 180 is free", 180
+        "layer_gravity_deg", "greatest angle of the surface normal to straight up [deg]; 180 is free", 180
     )
 
     @property
     def bound_to_gravity(self) -> bool:
-        """Whether a cone about the vertical bounds anything."""
+        """Whether a cone about the vertical limits anything."""
         return min(self.layer_gravity, self.nozzle_gravity) < math.pi
 
 
@@ -530,32 +538,34 @@ class ProcessSpec(AroundBeadSpec):
     speed: Speed = key("speed_mm_s", "speed of the nozzle along the part while printing [mm/s]")
     travel_speed: Speed = key("travel_speed_mm_s", "greatest speed between beads [mm/s]")
     speeds: Speeds = key(
-        "speeds", "other speeds, of some layers or beads; of several that a bead has, the last; default: none", ()
+        "speeds",
+        "other speeds of some layers or beads; if several apply to a bead, the last one counts; default: none",
+        (),
     )
-    layer_time: LayerTimeSpec | None = key("layer_time", "how long a layer takes at least; default: no matter", None)
+    layer_time: LayerTimeSpec | None = key("layer_time", "least time that a layer takes; default: any", None)
     interlayer_time: InterlayerTimeSpec | None = key(
         "interlayer_time",
-        "how old a place is at least, and at most, when the bead above comes to lie on it; default: no matter",
+        "least and greatest age of a place when the bead above is laid on it; default: any",
         None,
     )
     pauses: Pauses = key("pauses", "rests at home before some layers; default: none", ())
     order: Order = key(
         "order",
-        "names of beads, * for any letters, in whose order they are laid in each layer, those that fit none last; default: "
-        "whatever travels least",
+        "names of beads, * for any letters, in the order in which they are laid in each layer, any others last; "
+        "default: the order with the least travel",
         (),
     )
-    seam: SeamSpec | None = key("seam", "where closed beads begin; default: as far from corners as can be", None)
+    seam: SeamSpec | None = key("seam", "where closed beads begin; default: as far from corners as possible", None)
     skirt: SkirtSpec | None = key("skirt", "lines around the first layer, laid before all others; default: none", None)
     bead: BeadSpec = key("bead", "cross-section of a bead")
     corner_tolerance: Annotated[float, Quantity("mm", 0.01, 5)] = Field(
         0.2,
         alias="corner_tolerance_mm",
-        description="how far a rounded corner may leave the drawn one [mm]; finer than an arm repeats; default: 0.2, or half of "
-        "bead.width_mm where that is less",
+        description="how far a rounded corner may be from the drawn one [mm]; finer than an arm repeats; default: 0.2, "
+        "or half of bead.width_mm if that is less",
     )
     chord_tolerance: Annotated[float, Quantity("mm", 0.0005, 1)] = key(
-        "chord_tolerance_mm", "how far curves may leave the lines that approximate them [mm]", 0.01
+        "chord_tolerance_mm", "how far curves may be from the lines that approximate them [mm]", 0.01
     )
     cones: ConesSpec = key("cones", "how far nozzle and layer may lean; each has a default", {})
     filament_diameter: FilamentDiameter = key(
@@ -568,18 +578,19 @@ class ProcessSpec(AroundBeadSpec):
     change: ChangeSpec = key("change", "what happens between beads of two materials; each has a default", {})
     crossings: Annotated[CrossingsName, one_of(CROSSINGS_NAMES)] | None = key(
         "crossings",
-        "whether beads of a layer that cross are refused or told; default: refused where faces are covered, else not looked for",
+        "whether crossing beads in a layer are refused, or only reported (told); default: refused where faces are "
+        "covered, else not checked",
         None,
     )
     split_beads: Truth = key(
         "split_beads",
-        "whether a bead that cannot be followed in one go may be laid in pieces: the nozzle lifts off, the arm changes its "
-        "branch or unwinds a joint, and comes back",
+        "whether a bead that cannot be followed in one go may be laid in pieces: the nozzle lifts off, the arm "
+        "changes its branch or unwinds a joint, and returns to the bead",
         False,
     )
 
     def of(self, material: str) -> ProcessSpec:
-        """The process with what is this material's own in it; itself for the material without a name."""
+        """The process with a material's own values; unchanged for the material without a name."""
         spec = self.materials.get(material)
         if spec is None:
             return self
@@ -587,12 +598,12 @@ class ProcessSpec(AroundBeadSpec):
         return self.model_copy(update={name: value for name, value in own.items() if value is not None})
 
     def tool(self, material: str) -> int:
-        """Number of the tool that feeds a material by its name."""
+        """Number of the tool that feeds the material of that name."""
         given = self.materials[material].tool
         return list(self.materials).index(material) if given is None else given
 
     def nozzle_c(self, material: str) -> float | None:
-        """Temperature of a material's nozzle [°C], by its name; None where it is not set."""
+        """Nozzle temperature of the material of that name [°C]; None if it is not set."""
         given = self.materials[material].nozzle_c
         return self.start.nozzle_c if given is None else given
 
@@ -600,7 +611,7 @@ class ProcessSpec(AroundBeadSpec):
     def _heat_for_something(self) -> ProcessSpec:
         hot = [self.start.nozzle_c, self.start.bed_c, *(material.nozzle_c for material in self.materials.values())]
         if self.start.heat == "wait" and all(celsius is None for celsius in hot):
-            reason, hint = "heat is wait, and there is no temperature", "give nozzle_c or bed_c"
+            reason, hint = "heat is wait, but no temperature is given", "give nozzle_c or bed_c"
             raise refusal(reason, hint, item="start", fields=["heat"])
         return self
 
@@ -609,7 +620,7 @@ class ProcessSpec(AroundBeadSpec):
         slowest = None if self.layer_time is None else self.layer_time.slowest
         if slowest is not None and slowest > self.speed:
             reason = f"slowest_mm_s is {slowest * 1e3:g}, above speed_mm_s {self.speed * 1e3:g}"
-            raise refusal(reason, "a lower one", fields=["speed_mm_s", "layer_time"])
+            raise refusal(reason, "give a lower one", fields=["speed_mm_s", "layer_time"])
         return self
 
     @model_validator(mode="after")
@@ -617,7 +628,7 @@ class ProcessSpec(AroundBeadSpec):
         fastest = max([self.speed, *(spec.speed for spec in self.speeds)])
         if fastest > self.travel_speed:
             reason = f"travel_speed_mm_s is {self.travel_speed * 1e3:g}, below a speed_mm_s of {fastest * 1e3:g}"
-            hint = "as fast as all beads at least: run-ins reach their speed, and are travel"
+            hint = "travel at least as fast as all beads: run-ins reach their speed, and count as travel"
             raise refusal(reason, hint, fields=["speed_mm_s", "speeds", "travel_speed_mm_s"])
         return self
 
@@ -626,7 +637,7 @@ class ProcessSpec(AroundBeadSpec):
         layers = [pause.before_layer for pause in self.pauses]
         twice = next((layer for layer in layers if layers.count(layer) > 1), None)
         if twice is not None:
-            raise refusal(f"two pauses before layer {twice}", "one of them, as long as both", fields=["pauses"])
+            raise refusal(f"two pauses before layer {twice}", "give one of them, as long as both", fields=["pauses"])
         return self
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""A problem or robot file with some of its values changed, every other character as it was, for another folder if need be."""
+"""Change values in a problem or robot file and keep every other character, for another folder if need be."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Value = float | list[float] | list[str] | str | dict[str, float]
 def write_changed(problem: Problem, changes: Mapping[str, Value], target: Path) -> None:
     """Write a problem's file into a new file, with fields (dotted, as in the file) set to values in the file's units.
 
-    Comments and layout stay; paths of other files are changed so that they still lead there. What `--set` changed is
-    not written. Raises OutputError where there is a file already, or none can be written.
+    Comments and layout stay; paths of other files are changed so that they still lead there. Values from `--set` are
+    not written. Raises OutputError if the file exists already, or cannot be written.
     """
     text = changed_text(problem, changes, target.parent)
     try:
@@ -55,16 +55,16 @@ def changed_text(problem: Problem, changes: Mapping[str, Value], folder: Path) -
 
 
 def with_values(text: str, changes: Mapping[str, Value]) -> str:
-    """The text of a YAML mapping with fields (dotted) set to values, every other character as it was; new ones come first."""
+    """The text of a YAML mapping with fields (dotted) set to values, all else unchanged; new fields come first."""
     for field, value in changes.items():
         text = _with(text, tuple(field.split(".")), value)
     return text
 
 
 def without(text: str, fields: Iterable[str]) -> str:
-    """The text of a YAML mapping without some of its fields (dotted), comments above others as they were.
+    """The text of a YAML mapping without some of its fields (dotted); comments above other fields stay.
 
-    A section that has nothing else goes as a whole.
+    A section that would be empty is removed as a whole.
     """
     for field in fields:
         keys = tuple(field.split("."))
@@ -97,7 +97,7 @@ def _without(text: str, section: MappingNode, k: int) -> str:
 
 
 def absolute_overrides(problem: Problem) -> tuple[Override, ...]:
-    """What was set besides a problem's file, with absolute paths: so it says the same beside a file in another folder."""
+    """A problem's overrides, with absolute paths, so that they mean the same for a file in another folder."""
     paths = {keys: path.resolve() for keys, path in paths_in(problem)}
     return tuple(with_paths(override, paths) for override in problem.sources.overrides)
 
@@ -123,7 +123,7 @@ def _root(text: str) -> Node:
 
 
 def _node(node: Node | None, keys: Keys) -> Node | None:
-    """The node that keys lead to, None where there is none."""
+    """The node that keys lead to; None if there is none."""
     for key in keys:
         if isinstance(node, MappingNode):
             node = next((value for name, value in node.value if name.value == key), None)
@@ -135,17 +135,17 @@ def _node(node: Node | None, keys: Keys) -> Node | None:
 
 
 def _with(text: str, keys: Keys, value: Value) -> str:
-    """The text with the value at some keys exchanged, or put first into the section where it belongs."""
+    """The text with the value at some keys replaced, or inserted first into the section where it belongs."""
     root = _root(text)
     section, node = _node(root, keys[:-1]), _node(root, keys)
     if node is not None:
         first, last = node.start_mark.index, node.end_mark.index
-        old = text[first:last]  # a list in lines of its own ends where the next key begins
+        old = text[first:last]  # a list on lines of its own ends where the next key begins
         after = old[len(old.rstrip()) :] + text[last:]
         if isinstance(section, MappingNode):
             name = next(name for name, value in section.value if value is node)
             between = text[name.end_mark.index : first]
-            if "\n" in between:  # it stands below its key, where a list in brackets cannot
+            if "\n" in between:  # it starts below its key, where a list in brackets cannot
                 comment = between[: between.index("\n")].removeprefix(":").rstrip()
                 return f"{text[: name.end_mark.index]}: {_written(value)}{comment}{after}"
         return text[:first] + _written(value) + after
@@ -158,7 +158,7 @@ def _with(text: str, keys: Keys, value: Value) -> str:
 
 
 def _written(value: Value) -> str:
-    """A value as it stands in a file."""
+    """A value as written in a file."""
     if isinstance(value, list):
         return f"[{', '.join(_written(each) for each in value)}]"
     if isinstance(value, dict):

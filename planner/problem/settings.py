@@ -1,4 +1,4 @@
-"""Strategy, settings of the search and of the robot program: the sections `resolve` and `program`."""
+"""Strategies, and settings of the search and of the robot program: the sections `resolve` and `program`."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ MachineType = Literal["robot", "table_table", "head_table", "head_head"]
 MACHINE_TYPES: tuple[str, ...] = get_args(MachineType)
 FeedName = Literal["inverse_time", "per_minute"]
 FEEDS: tuple[str, ...] = get_args(FeedName)
-TURNING = {"linuxcnc": ("A", "B", "C"), "reprap": ("A", "B", "C", "U", "V", "W")}  # letters that may turn
-EXTRUDER = {"linuxcnc": ("U", "V", "W"), "reprap": ("E",)}  # letters that may push filament; the last one by default
-LEAST_ANGLE = 5.0  # deg between the two axes, and between the second one and the nozzle: below, nothing can be reached
+TURNING = {"linuxcnc": ("A", "B", "C"), "reprap": ("A", "B", "C", "U", "V", "W")}  # letters of axes that may turn
+EXTRUDER = {"linuxcnc": ("U", "V", "W"), "reprap": ("E",)}  # letters of axes that may push filament; default: the last
+# deg between the two axes, and between the tilting axis and the nozzle: below, nothing can be reached
+LEAST_ANGLE = 5.0
 Letter = Annotated[str, one_of(("A", "B", "C", "E", "U", "V", "W"))]
 
 StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"]
@@ -60,14 +61,14 @@ FirmwareName = Literal["reprap", "marlin", "klipper"]
 FIRMWARES: tuple[str, ...] = get_args(FirmwareName)
 SyncName = Literal["signal", "free"]
 SYNCS: tuple[str, ...] = get_args(SyncName)
-# Numbers below which an input can be waited for: RepRapFirmware's MaxGpInPorts of its largest boards (M577 P), and the
-# byte of Marlin's pin numbers (M226 P). Klipper waits for none.
+# Input numbers below these can be waited for: RepRapFirmware's MaxGpInPorts of its largest boards (M577 P), and the
+# byte of Marlin's pin numbers (M226 P). Klipper cannot wait for inputs.
 INPUTS = {"reprap": 56, "marlin": 256}
 FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for programs
 # mechanical units of ABB controllers: a positioner, and the arms of a MultiMove system
 POSITIONER = "STN1"
 SECOND_ARM = ARMS[1]
-CHORD_SHARE = 0.25  # of a bead's height, by which lines of programs may leave it where nothing is said; widened, twice
+CHORD_SHARE = 0.25  # × a bead's height: how far a program's lines may be from it by default; twice that if widened
 _ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
 
 
@@ -87,14 +88,16 @@ Code = Annotated[str, Form(_code, schema={"pattern": "^[A-Z][0-9.]+( [A-Z][0-9.]
 
 
 class RotarySpec(Section):
-    """An axis that turns the head or the table, right-handed about its direction at zero angles of both axes."""
+    """A rotary axis of the head or the table, right-handed about its direction with both axes at zero."""
 
     letter: Letter = key("letter", "its letter in the G-code")
     direction: Annotated[Vector, Quantity("", -1000, 1000, count=3), UNIT_VECTOR] = key(
-        "direction", "about which a positive angle turns what it carries, on the machine's axes"
+        "direction", "direction about which a positive angle turns what it carries, in the machine's axes"
     )
     centre: Position = key(
-        "centre_mm", "a point on it [mm]: on the machine; of an axis in the head, from the nozzle's tip", (0, 0, 0)
+        "centre_mm",
+        "a point on it [mm]: in machine coordinates; for an axis in the head, from the nozzle's tip",
+        (0, 0, 0),
     )
     range: Annotated[tuple[float, float], Quantity("deg", -1800, 1800, count=2), INCREASING] | None = key(
         "range_deg", "least and greatest angle [deg]; default: it turns without end", None
@@ -102,31 +105,29 @@ class RotarySpec(Section):
 
 
 class MachineSpec(Section):
-    """A machine of six axes (a robot), or of three straight ones and two that turn."""
+    """A machine with six axes (a robot), or with three linear and two rotary ones."""
 
     flavour: Annotated[FlavourName, one_of(FLAVOURS)] = key("flavour", f"its controller: {' or '.join(FLAVOURS)}")
     type: Annotated[MachineType, one_of(MACHINE_TYPES)] = key(
-        "type", f"what turns: {', '.join(MACHINE_TYPES)}; a robot is told poses of the nozzle"
+        "type", f"what turns: {', '.join(MACHINE_TYPES)}; a robot is sent poses of the nozzle"
     )
     rotary: tuple[RotarySpec, ...] = key(
         "rotary",
-        "the two axes that turn, the one that carries the other first; of head_table the head's first; default: none",
+        "the two rotary axes, the one that carries the other first; for head_table, the head's first; default: none",
         (),
     )
-    least: Position | None = key("least_mm", "least X, Y and Z of the machine [mm]; default: not looked at", None)
-    greatest: Position | None = key("greatest_mm", "greatest X, Y and Z [mm]; default: not looked at", None)
+    least: Position | None = key("least_mm", "least X, Y and Z of the machine [mm]; default: not checked", None)
+    greatest: Position | None = key("greatest_mm", "greatest X, Y and Z [mm]; default: not checked", None)
     part: Position = key("part_mm", "origin of the part frame on the machine at zero angles [mm]", (0, 0, 0))
     part_rpy: Angles = key("part_rpy_deg", "roll, pitch and yaw of the part frame there [deg]", (0, 0, 0))
-    tcp: Truth = key(
-        "tcp", "whether the controller keeps the tip on its line while axes turn (tool centre point control)", False
-    )
-    tcp_on: Code = key("tcp_on", "code that switches that on", "M428")
-    tcp_off: Code = key("tcp_off", "code that switches that off", "M429")
+    tcp: Truth = key("tcp", "whether the controller keeps the tip on its line while axes turn (TCP control)", False)
+    tcp_on: Code = key("tcp_on", "code that switches TCP control on", "M428")
+    tcp_off: Code = key("tcp_off", "code that switches TCP control off", "M429")
     extruder: Letter | None = key(
-        "extruder", "letter of the axis that pushes filament; default W, or E of reprap", None
+        "extruder", "letter of the axis that pushes filament; default W, or E with reprap", None
     )
     feed: Annotated[FeedName, one_of(FEEDS)] = key(
-        "feed", "what F says: inverse_time (G93), or per_minute for firmware that lacks it", "inverse_time"
+        "feed", "what F means: inverse_time (G93), or per_minute for firmware without that", "inverse_time"
     )
 
     @property
@@ -139,15 +140,17 @@ class MachineSpec(Section):
         turning, pushing = TURNING[self.flavour], EXTRUDER[self.flavour]
         for i, axis in enumerate(self.rotary):
             if axis.letter not in turning:
-                reason = f"{self.flavour} does not turn {axis.letter}"
+                reason = f"{self.flavour} has no rotary axis {axis.letter}"
                 raise refusal(reason, f"choices: {', '.join(turning)}", fields=["rotary"])
             if axis.letter in [other.letter for other in self.rotary[:i]]:
                 raise refusal(f"two axes are called {axis.letter}", "give each its own letter", fields=["rotary"])
         if self.filament not in pushing:
-            reason = f"{self.flavour} does not push filament with {self.filament}"
+            reason = f"{self.flavour} has no filament axis {self.filament}"
             raise refusal(reason, f"choices: {', '.join(pushing)}", fields=["extruder"])
         if self.filament in [axis.letter for axis in self.rotary]:
-            raise refusal(f"{self.filament} is the letter of an axis that turns", "give another", fields=["extruder"])
+            raise refusal(
+                f"{self.filament} is already the letter of a rotary axis", "give another", fields=["extruder"]
+            )
         return self
 
     @model_validator(mode="after")
@@ -155,7 +158,7 @@ class MachineSpec(Section):
         if self.type == "robot":
             if self.flavour != "linuxcnc":
                 reason = f"{self.flavour} has no kinematics that take the pose of a robot's nozzle"
-                raise refusal(reason, "take linuxcnc, or a machine of five axes", fields=["type", "flavour"])
+                raise refusal(reason, "use linuxcnc, or a five-axis machine", fields=["type", "flavour"])
             if {"rotary", "least", "greatest", "part", "part_rpy", "tcp"} & self.model_fields_set:
                 reason = "a robot has no rotary axes, limits, part_mm, part_rpy_deg or tcp of its own"
                 raise refusal(reason, "leave them out: the cell says where its part is", fields=["rotary", "type"])
@@ -163,7 +166,7 @@ class MachineSpec(Section):
         if self.least is not None and self.greatest is not None:
             for name, low, high in zip("XYZ", self.least, self.greatest, strict=True):
                 if not low < high:
-                    raise refusal(f"{name} has no room between least_mm and greatest_mm", fields=["greatest_mm"])
+                    raise refusal(f"{name} has no range: least_mm is not below greatest_mm", fields=["greatest_mm"])
         if len(self.rotary) != 2:
             raise refusal(f"{self.type} has 2 rotary axes, not {len(self.rotary)}", "give both", fields=["rotary"])
         first, second = (np.array(axis.direction) for axis in self.rotary)
@@ -176,7 +179,7 @@ class MachineSpec(Section):
 
 
 def _address(value: Any) -> str:
-    """A numeric IPv4 address, which is what a controller can bind."""
+    """A numeric IPv4 address, the only kind that a controller can bind."""
     try:
         return str(IPv4Address(value if isinstance(value, str) else ""))
     except AddressValueError as error:
@@ -192,10 +195,10 @@ class WeightsSpec(Section):
 
     time_lost: _Weight = key("time_lost", "time below the commanded speed, and each dip", 1)
     effort: _Weight = key("effort", "joints' speed, acceleration and jerk, and peaks of speed", 1)
-    singularity: _Weight = key("singularity", "closeness of the arm to singularities", 1)
-    joint_limits: _Weight = key("joint_limits", "closeness of the arm's joints to the ends of their ranges", 1)
+    singularity: _Weight = key("singularity", "proximity of the arm to singularities", 1)
+    joint_limits: _Weight = key("joint_limits", "proximity of the arm's joints to the ends of their ranges", 1)
     tilt: _Weight = key("tilt", "lean of the nozzle from the surface normal", 1)
-    travel: _Weight = key("travel", "ends of beads that move away from where travel is short", 1)
+    travel: _Weight = key("travel", "bead ends that move away from where travel is short", 1)
 
 
 class ResolveSpec(Section):
@@ -208,32 +211,32 @@ class ResolveSpec(Section):
         "table_step_deg", "step between tried angles of the positioner [deg]; refined to a third", 15
     )
     rung: Annotated[float, Quantity("mm", 0.5, 100)] = key(
-        "rung_mm", "distance along a bead at which postures are searched [mm]; interpolated between", 5
+        "rung_mm", "distance along a bead between places where postures are searched [mm]; interpolated in between", 5
     )
     knot: Annotated[float, Quantity("mm", 0.5, 100)] = key(
         "knot_mm",
-        "distance along a bead between control values of the refined free angles; round bends half of it [mm]",
+        "distance along a bead between control values of the refined free angles; half of that around bends [mm]",
         2.5,
     )
     min_sigma: Annotated[float, Quantity("", 0, 1)] = key(
-        "min_sigma", "least singular value of the arm's Jacobian (metres); below it joints race", 0.05
+        "min_sigma", "least singular value of the arm's Jacobian (in metres); below it, joints race", 0.05
     )
     qp: Annotated[QPName, one_of(QP_NAMES)] = key(
         "qp", f"solver of the quadratic programs of strategy sqp: {' or '.join(QP_NAMES)} (slower)", "interior_point"
     )
     timing: Annotated[TimingName, one_of(TIMING_NAMES)] = key(
         "timing",
-        f"how joint paths are timed: {' or '.join(TIMING_NAMES)}, a reference that limits no jerk and is not verified",
+        f"how joint paths are timed: {' or '.join(TIMING_NAMES)}, a reference without jerk limits that is not verified",
         "jerk_limited",
     )
     published: Annotated[PublishedName, one_of(PUBLISHED_NAMES)] = key(
         "published",
-        f"which paper strategy as_published follows: {', '.join(PUBLISHED_NAMES)}; unless set, along_path with "
-        "process.fibre and fixed_heading on faces and aerofoils",
+        f"which paper's method strategy as_published follows: {', '.join(PUBLISHED_NAMES)}; unless set, along_path "
+        "with process.fibre, and fixed_heading on faces and aerofoils",
         "turning_table",
     )
     weights: WeightsSpec = key(
-        "weights", "factors on what the refinement of strategy sqp weighs against each other; each has a default", {}
+        "weights", "factors on the terms that the refinement of strategy sqp trades off; each has a default", {}
     )
 
 
@@ -242,10 +245,12 @@ class SocketSpec(Section):
 
     address: Annotated[str, Form(_address, schema={"pattern": _ADDRESS})] = key(
         "address",
-        "of the controller itself, in the network of the relay; the default reaches no other computer",
+        "address of the controller itself in the relay's network; the default is out of reach of other computers",
         "127.0.0.1",
     )
-    port: Annotated[int, Quantity("", FIRST_PORT, LAST_PORT, whole=True)] = key("port", "of the controller", FIRST_PORT)
+    port: Annotated[int, Quantity("", FIRST_PORT, LAST_PORT, whole=True)] = key(
+        "port", "port of the controller", FIRST_PORT
+    )
 
 
 class BoardSpec(Section):
@@ -254,14 +259,14 @@ class BoardSpec(Section):
     firmware: Annotated[FirmwareName, one_of(FIRMWARES)] = key("firmware", f"one of {', '.join(FIRMWARES)}", "reprap")
     sync: Annotated[SyncName, one_of(SYNCS)] = key(
         "sync",
-        "what keeps it in step: signal, it waits for the robot's output at both ends of each bead, which klipper cannot; "
-        "or free, time alone",
+        "what keeps it in step: signal, it waits for the robot's output at both ends of each bead, which klipper "
+        "cannot do; or free, time alone",
         "signal",
     )
     input: Annotated[int, Quantity("", 0, max(INPUTS.values()) - 1, whole=True)] = key(
         "input",
-        "number of the input to which the extruder's output is wired: J of M950 (reprap), or the pin's (marlin); "
-        "those of further materials come after it",
+        "number of the input that the extruder's output is wired to: J of M950 (reprap), or the pin's number (marlin); "
+        "further materials use the following ones",
         1,
     )
     tools: Annotated[tuple[Annotated[int, Quantity("", 0, 99, whole=True)], ...], UNIQUE] | None = key(
@@ -271,12 +276,12 @@ class BoardSpec(Section):
     )
     rests: Truth | None = key(
         "rests",
-        "whether it moves filament from rest to rest, so that each line is written faster by what its ramps take; "
-        "default: klipper does",
+        "whether each of its moves starts and ends at rest, so that lines are written faster to make up for the ramps; "
+        "default: with klipper",
         None,
     )
     acceleration: Annotated[float, Quantity("mm/s2", 10, 1e6)] = key(
-        "acceleration_mm_s2", "of filament that moves from rest to rest [mm/s2]", 1500
+        "acceleration_mm_s2", "acceleration of filament that moves from rest to rest [mm/s2]", 1500
     )
 
     @property
@@ -299,7 +304,7 @@ class BoardSpec(Section):
         if self.firmware not in INPUTS:
             raise refusal(
                 f"{self.firmware} has no command that waits for an input",
-                "sync: free runs by time alone; or take program.style demand or socket; see docs/gcode.md",
+                "set sync: free, which runs by time alone, or program.style demand or socket; see docs/gcode.md",
                 fields=["firmware", "sync"],
             )
         if self.input >= INPUTS[self.firmware]:
@@ -309,57 +314,57 @@ class BoardSpec(Section):
 
 
 class ProgramSpec(Section):
-    """The robot program: how it drives the extruder, its names, and how finely its straight lines divide a bead."""
+    """The robot program: how it drives the extruder, its names, and how finely its moves approximate a bead."""
 
     languages: Annotated[tuple[Annotated[LanguageName, one_of(LANGUAGE_NAMES)], ...], UNIQUE] | None = key(
         "languages", f"of {', '.join(LANGUAGE_NAMES)}, those to write; default: what the arm's controller speaks", None
     )
-    tool: Identifier = key("tool", "the tooldata", "tPen")
-    work_object: Identifier = key("work_object", "the wobjdata", "wobjPart")
+    tool: Identifier = key("tool", "name of the tooldata", "tPen")
+    work_object: Identifier = key("work_object", "name of the wobjdata", "wobjPart")
     station: Identifier | None = key(
         "station",
         f"the mechanical unit that moves the part; default: {POSITIONER}, or {SECOND_ARM} where a second arm does",
         None,
     )
-    extruder_signal: Identifier = key("extruder_signal", "the digital output of the extruder", "doExtrude")
+    extruder_signal: Identifier = key("extruder_signal", "name of the digital output of the extruder", "doExtrude")
     extruder_output: Annotated[int, Quantity("", 0, 4096, whole=True)] = key(
-        "extruder_output", "its number, where outputs have numbers; further materials have those after it", 1
+        "extruder_output", "its number, where outputs have numbers; further materials use the following ones", 1
     )
     style: Annotated[StyleName, one_of(STYLE_NAMES)] = key(
         "style",
-        "how the extruder is driven: by a digital output; by an analog one besides, with the flow; or by lines of "
-        "G-code through a socket",
+        "how the extruder is driven: output, by a digital output; demand, also by an analog one that follows the flow; "
+        "socket, by lines of G-code through a socket",
         "output",
     )
     socket: SocketSpec = key("socket", "where style socket waits for its relay; each has a default", {})
-    demand_signal: Identifier = key("demand_signal", "the analog output of style demand", "aoDemand")
+    demand_signal: Identifier = key("demand_signal", "name of the analog output of style demand", "aoDemand")
     demand_scale: Annotated[float, Quantity("", 1e-6, 1e6)] = key(
-        "demand_scale", "value of that output for each mm3/s of filament, such as volts", 0.5
+        "demand_scale", "value of that output per mm3/s of filament, in volts for example", 0.5
     )
     demand_most: Annotated[float, Quantity("", 1e-6, 1e9)] = key(
-        "demand_most", "greatest value that it can have; a plan that asks for more is refused", 10
+        "demand_most", "greatest value that it can have; a plan that needs more is refused", 10
     )
     board: BoardSpec = key("board", "what moves filament with extrusion.gcode; each has a default", {})
     module_moves: Annotated[int, Quantity("", 100, 1_000_000, whole=True)] = key(
         "module_moves",
-        "moves of a RAPID module; a program of more is split into modules that are loaded on the way",
+        "moves per RAPID module; a longer program is split into modules that are loaded on the way",
         5000,
     )
     chord: Annotated[float, Quantity("mm", 0.005, 1)] = Field(
         0.05,
         alias="chord_mm",
-        description="how far a line or an arc of the program may be from the bead that it stands for [mm]; default: 0.05, or a "
-        "quarter of process.bead.height_mm where that is less",
+        description="how far a line or an arc of the program may be from the bead that it stands for [mm]; default: "
+        "0.05, or a quarter of process.bead.height_mm if that is less",
     )
     widest_chord: Annotated[float, Quantity("mm", 0.005, 2)] | None = key(
         "widest_chord_mm",
-        "the same where moves would otherwise take less than least_time_ms; other tolerances grow by as much; default: "
-        "twice chord_mm [mm]",
+        "the same where moves would otherwise take less than least_time_ms; other tolerances grow in proportion; "
+        "default: twice chord_mm [mm]",
         None,
     )
     least_time: Annotated[float, Quantity("ms", 0, 1000)] = key(
         "least_time_ms",
-        "time that a move on a bead should take at least, for controllers take in so many targets a second [ms]",
+        "least time that a move on a bead should take, since controllers accept only so many targets a second [ms]",
         25,
     )
     arcs: Truth = key("arcs", "circular moves, in languages that have them", True)
@@ -367,7 +372,7 @@ class ProgramSpec(Section):
         "tangent_deg", "greatest angle between a bead and the line that stands for it [deg]", 45
     )
     longest: Annotated[float, Quantity("mm", 1, 1000)] = key(
-        "longest_mm", "longest move on a bead [mm]; below it chord and angle alone decide", 25
+        "longest_mm", "longest move on a bead [mm]; below it, chord and angle alone decide", 25
     )
     largest_zone: Annotated[ZoneName, one_of(ZONE_NAMES)] = key(
         "largest_zone", f"the largest zone of a target in RAPID: {', '.join(ZONE_NAMES)}", "z10"
@@ -376,7 +381,7 @@ class ProgramSpec(Section):
 
     @property
     def widening(self) -> float:
-        """By what factor tolerances may grow for the least time."""
+        """Factor by which tolerances may grow to reach the least time."""
         return 2.0 if self.widest_chord is None else self.widest_chord / self.chord
 
     def mover(self, second_arm: bool) -> str:
@@ -388,13 +393,13 @@ class ProgramSpec(Section):
         if self.widest_chord is not None and self.widest_chord < self.chord:
             raise refusal(
                 f"widest_chord_mm, {1e3 * self.widest_chord:g}, is less than chord_mm, {1e3 * self.chord:g}",
-                "let it be as wide, or wider",
+                "make it at least as wide",
                 fields=["widest_chord_mm", "chord_mm"],
             )
         seen: dict[str, str] = {}
         for field in ("tool", "work_object", "station", "extruder_signal", "demand_signal"):
             name = getattr(self, field) or POSITIONER
-            first = seen.setdefault(name.lower(), field)  # RAPID does not tell capitals from small letters
+            first = seen.setdefault(name.lower(), field)  # RAPID ignores case
             if first != field:
                 raise refusal(
                     f"{name!r} names both {first} and {field}", "give each its own name", fields=[first, field]

@@ -1,4 +1,4 @@
-"""Waypoints that come from Python as arrays, where a problem file names a file of them."""
+"""Waypoints given as arrays from Python, in place of a file of them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,16 @@ from planner.problem.fields import InMemory
 
 @dataclass(frozen=True, eq=False)
 class WaypointArrays(ReadOnlyArrays, InMemory):
-    """Waypoints (n) in the part frame, as columns of a file would have them; made by `Toolpath.from_arrays`.
+    """Waypoints (n) in the part frame, like the columns of a file; made by `Toolpath.from_arrays`.
 
-    points (n, 3) [m]; normals (n, 3) out of the part, of any length
-    width, height (n) of the bead [m]; layer, bead (n) whole numbers; None where they are not given
-    firsts  index of the first waypoint of each bead, where beads were given one by one; else None
+    Attributes:
+        points: Positions (n, 3) of the nozzle tip [m].
+        normals: Normals (n, 3) out of the part, of any length.
+        width: Width (n,) of the bead [m]; None if not given.
+        height: Height (n,) of the bead [m]; None if not given.
+        layer: Whole numbers (n,) of the layers; None if not given.
+        bead: Whole numbers (n,) of the beads; None if not given.
+        firsts: Index of the first waypoint of each bead, where beads were given one by one; else None.
     """
 
     points: Array
@@ -32,7 +37,11 @@ class WaypointArrays(ReadOnlyArrays, InMemory):
         return len(self.points)
 
     def index(self, waypoint: int) -> str:
-        """Where a waypoint stands in what was given: `[17]`, or `[2][17]` of beads that were given one by one."""
+        """Index of a waypoint in the arrays given: `[17]`, or `[2][17]` if beads were given one by one.
+
+        Args:
+            waypoint: Its index among all waypoints.
+        """
         if self.firsts is None:
             return f"[{waypoint}]"
         bead = int(np.searchsorted(self.firsts, waypoint, side="right")) - 1

@@ -1,8 +1,8 @@
 """Problem and robot files as text: a small, safe part of YAML 1.2, with the line of every value.
 
-Values are read from the parser's events, so that nothing is built before it has been looked at: no tags, no anchors
-(hence no alias bombs), no second document, no key twice, no deep nesting. Composed nodes would not do: they no longer
-tell explicit tags such as !!str from resolved ones. Scalars follow the core schema (YAML 1.2.2, 10.3.2).
+Values are read from the parser's events, so that nothing is built before it has been checked: no tags, no anchors
+(hence no alias bombs), no second document, no duplicate keys, no deep nesting. Composed nodes would not do: they no
+longer distinguish explicit tags such as !!str from resolved ones. Scalars follow the core schema (YAML 1.2.2, 10.3.2).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _PLAIN = re.compile(r"[A-Za-z_./-][A-Za-z0-9_./ -]*")
 _QUOTED_WORDS = {"true", "false", "null", "yes", "no", "on", "off"}
 
 LARGEST_FILE, MOST_VALUES, DEEPEST_NESTING = YAML_BYTES.most, YAML_VALUES.most, YAML_DEPTH.most
-LONGEST_NUMBER = 300  # digits; beyond, an integer is read as a float, that is as infinite
+LONGEST_NUMBER = 300  # digits; a longer integer is read as a float, that is, as infinite
 Keys = tuple[str | int, ...]
 Complaint = Callable[[str, int | None, str | None], InputError]  # reason, line, hint → the error with its place
 _INTEGER = re.compile(r"[-+]?[0-9]+")
@@ -53,7 +53,7 @@ _WORDS = dict.fromkeys(("", "~", "null", "Null", "NULL")) | {
 
 
 def yaml_text(value: Any) -> str:
-    """A value in one line of YAML."""
+    """A value as one line of YAML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Mapping):
@@ -71,12 +71,12 @@ def yaml_text(value: Any) -> str:
 
 @dataclass(frozen=True)
 class Override:
-    """A value that is set besides the file.
+    """A value set in addition to the file.
 
-    path   of its keys
-    value  plain, as YAML gives it, or what only Python can give
+    path   its keys
+    value  plain, as YAML gives it, or a value that only Python can give
     label  what an error calls it: `--set process.speed_mm_s`
-    words  it as it would stand after `--set`
+    words  the override as written after `--set`
     """
 
     path: Keys
@@ -91,8 +91,8 @@ class ValueSources:
 
     file        as the user gave it
     lines       path of keys → line (from 1); the empty path is where the document starts
-    overrides   what was set besides, in the order in which it was
-    sha256      of the file's content; empty where it came from none
+    overrides   values set in addition, in that order
+    sha256      of the file's content; empty if the problem did not come from a file
     """
 
     file: Path
@@ -130,7 +130,7 @@ def shipped_problems() -> list[str]:
 
 
 def find_problem(name_or_path: str | Path) -> Path:
-    """Return the problem file that is meant: a path, or the name of a shipped one with or without `.yaml`.
+    """Return the problem file meant by a path, or by the name of a shipped one with or without `.yaml`.
 
     Raises InputError, with the nearest shipped name, if there is none. A file wins over a shipped name, and a shipped
     name over a folder (such as the results of that very problem).
@@ -138,7 +138,7 @@ def find_problem(name_or_path: str | Path) -> Path:
     given = Path(name_or_path)
     name = given.name.removesuffix(".yaml")
     names = shipped_problems()
-    # os.path, not Path: a name that no file can have is simply not there.
+    # os.path, not Path: a name that no file can have simply does not exist.
     if os.path.exists(given) and not os.path.isdir(given):
         return given
     if str(given) == given.name and name in names:
@@ -174,9 +174,7 @@ def read_yaml_file(file: Path, empty: str) -> tuple[dict[str, Any], ValueSources
     except OSError as error:
         raise complain(f"cannot be read: {error.strerror}") from error
     if len(raw) > LARGEST_FILE:
-        raise complain(
-            "is larger than 1 MB, which no file of settings is", hint="curves belong into files of their own"
-        )
+        raise complain("is larger than 1 MB, which no file of settings is", hint="curves belong in files of their own")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -192,9 +190,9 @@ def read_yaml_file(file: Path, empty: str) -> tuple[dict[str, Any], ValueSources
 
 
 def parse_yaml(text: str, complain: Complaint, lines: dict[Keys, int]) -> Any:
-    """Return the value that a YAML text holds, filling `lines` with the place of every key and item.
+    """Return the value of a YAML text, filling `lines` with the line of every key and item.
 
-    An empty text gives None. Raises what `complain` makes for everything else than plain YAML.
+    An empty text gives None. Raises the error of `complain` for anything but plain YAML.
     """
     try:
         events = _plain_events(text, complain)
@@ -220,7 +218,7 @@ def parse_yaml(text: str, complain: Complaint, lines: dict[Keys, int]) -> Any:
 
 
 def _not_yaml(error: MarkedYAMLError, complain: Complaint) -> InputError:
-    """Say where the text stops being YAML; of what is never closed, where it starts."""
+    """Say where the text stops being YAML or, if something is never closed, where that starts."""
     mark, reason = error.problem_mark or error.context_mark, str(error.problem or error.context)
     hint = "indent with spaces, not tabs" if "\\t" in reason else "a YAML file is expected"
     if "end of stream" in reason or "<stream end>" in reason:
@@ -233,7 +231,7 @@ def _not_yaml(error: MarkedYAMLError, complain: Complaint) -> InputError:
 
 
 def _plain_events(text: str, complain: Complaint) -> Iterator[Event]:
-    """The events that make values, without the parser's bookkeeping, refusing what a problem file never needs."""
+    """The events that make up values, without the parser's bookkeeping; refuses what a problem file never needs."""
     depth = count = 0
     for event in YAML(typ="safe", pure=True).parse(text):
         line = None if event.start_mark is None else event.start_mark.line + 1
@@ -253,7 +251,7 @@ def _plain_events(text: str, complain: Complaint) -> Iterator[Event]:
             continue
         count += 1
         if count > MOST_VALUES:
-            raise complain(f"holds more than {MOST_VALUES} values", line, "curves belong into files of their own")
+            raise complain(f"holds more than {MOST_VALUES} values", line, "curves belong in files of their own")
         yield event
 
 
@@ -276,7 +274,7 @@ def _value(event: Event, events: Iterator[Event], path: Keys, lines: dict[Keys, 
             raise complain("a key must be a name", line, "quote a number that is a name")
         here = (*path, key)
         if key in mapping:
-            again = f"{dotted(here)} stands here twice, first in line {lines[here]}"
+            again = f"{dotted(here)} is given twice, first in line {lines[here]}"
             raise complain(again, line, "remove one of them")
         lines[here] = line
         mapping[key] = _value(next(events), events, here, lines, complain)
@@ -312,11 +310,11 @@ def describe(value: object) -> str:
 
 
 def dotted(path: Keys) -> str:
-    """Name a field as in `cell.nozzle.tip_mm`; items of lists are left to the line."""
+    """Name a field as in `cell.nozzle.tip_mm`; items of lists are identified by their line alone."""
     return shorten(".".join(key for key in path if isinstance(key, str)), 80)
 
 
 def shorten(text: str, length: int = 40) -> str:
-    """Cut a long text for a message, and show what does not print as ?."""
+    """Cut a long text for a message, and show unprintable characters as ?."""
     text = "".join(c if c.isprintable() else "?" for c in text[: length + 1])
     return text if len(text) <= length else text[: length - 1] + "…"

@@ -1,5 +1,4 @@
-"""Where the part really is: its placement from places that the nozzle touched, or from a scan, written into a copy of the
-problem.
+"""Where the part really is: its placement, from touched places or a scan, written into a copy of the problem.
 
 python -m planner.register contacts.csv fibre_bowl
 """
@@ -42,7 +41,7 @@ from planner.register.telling import (
     write_picture,
 )
 
-TOLERANCE_MM = 0.1  # a fifth of the thinnest layers that ship
+TOLERANCE_MM = 0.1  # a fifth of the thinnest layers of shipped problems
 MOST_SUGGESTED = 100
 
 
@@ -86,7 +85,7 @@ def _published(options: argparse.Namespace, scene: Scene, target: Path) -> int:
 
 
 def _write(problem: Problem, changes: Mapping[str, Value], target: Path) -> None:
-    """Write the new problem, unless it is what no problem may be, such as one with a part that is nowhere."""
+    """Write the new problem; remove it and raise InputError if it is not valid, such as with a part that is nowhere."""
     write_changed(problem, changes, target)
     try:
         load_problem(target)
@@ -96,7 +95,7 @@ def _write(problem: Problem, changes: Mapping[str, Value], target: Path) -> None
 
 
 def _suggest(options: argparse.Namespace) -> int:
-    """Where to touch before anything was touched."""
+    """Print where to touch first."""
     scene = scene_of(load_problem(options.problem), options.nozzle)
     places, chosen = plan_contacts(scene, _ask(options), options.suggest)
     print("\n".join(f"{i}: {place_words(scene, places, k, scene.start)}" for i, k in enumerate(chosen, 1)))
@@ -107,7 +106,7 @@ def _suggest(options: argparse.Namespace) -> int:
 
 
 def _check_target(target: Path) -> None:
-    """Before anything is computed: a target that is there is not written over."""
+    """Before anything is computed, raise OutputError for a target that exists: nothing is overwritten."""
     if target.exists():
         raise OutputError(f"{target} is there already, and stays as it is: name another with --out")
 

@@ -19,13 +19,13 @@ from planner.base.tables import is_number, rows_of, separator_of, split_row
 from planner.cell.cell import Cell
 
 # ----------------------------------------------------------------------------------------------------
-# Files of contacts: where the nozzle's tip was when it touched the part, as the robot's display tells it.
+# Files of contacts: where the nozzle's tip was when it touched the part, as read from the robot's display.
 
 TIP, AXIS = ("x", "y", "z"), ("ax", "ay", "az")
 NAMES = ("name", "contact")
 LARGEST_FILE = 2_000_000  # bytes
-MOST_CONTACTS = 2_000  # touched one by one; more are a scan, and take minutes
-FARTHEST = {"mm": 1e5, "deg": 3600.0, "": 1e6}  # a hall of 100 m, ten turns, any length of a direction
+MOST_CONTACTS = 2_000  # touched one by one; more would be a scan, and take minutes
+FARTHEST = {"mm": 1e5, "deg": 3600.0, "": 1e6}  # a hall of 100 m, ten turns, a direction of any length
 LENGTHS = {"mm": 1e-3, "m": 1.0, "inches": 25.4e-3, "cm": 1e-2}
 ANGLES = {"degrees": math.pi / 180.0, "radians": 1.0}
 _BRACKETS = re.compile(r"\s*[\[(]\s*([a-z°]+)\s*[\])]")
@@ -34,13 +34,13 @@ _UNIT = re.compile(r"(.+)_(mm|cm|m|in|inch|inches|deg|rad)")
 
 @dataclass(frozen=True)
 class Readings(ReadOnlyArrays):
-    """What a file of contacts says (n of them), in its own units.
+    """The readings in a file of contacts (n of them), in its own units.
 
-    file, lines (n), names (n)   where each stands, from line 1, and what it is called
-    tips (n, 3)      the tip in the world [mm]; or else
-    joints (n, a)    the arm's joints [deg, mm where they slide]
-    axes (n, 3)      directions in which the nozzle points, if the file tells them
-    holder (n, k)    free axes of what holds the part [deg, mm]
+    file, lines (n), names (n)   line of each, counted from 1, and its name
+    tips (n, 3)      the tip in the world [mm]; or instead
+    joints (n, a)    the arm's joints [deg; mm for sliding ones]
+    axes (n, 3)      directions in which the nozzle points, if the file has them
+    holder (n, k)    free axes of the part's holder [deg, mm]
     """
 
     file: Path
@@ -56,7 +56,7 @@ class Readings(ReadOnlyArrays):
 class Contacts(ReadOnlyArrays):
     """Places (n) that the nozzle touched.
 
-    tips (n, 3)    in the world [m];  T_world_plate (n, 4, 4) what the part stands on then, as the problem has it
+    tips (n, 3)    in the world [m];  T_world_plate (n, 4, 4) of the plate that the part is on then, as in the problem
     axes (n, 3)    unit directions of the nozzle in the world, if known
     """
 
@@ -74,8 +74,8 @@ class Contacts(ReadOnlyArrays):
 def read_readings(file: Path, cell: Cell) -> Readings:
     """Read a CSV file of contacts made in this cell.
 
-    A header names the columns: x_mm y_mm z_mm, or the arm's joints by name in degrees, or mm of one that slides; the free
-    axes of what holds the part; if wanted name, and ax ay az, the nozzle's direction. Between columns stand commas,
+    A header names the columns: x_mm y_mm z_mm, or the arm's joints by name in degrees, or mm for sliding ones; the free
+    axes of the part's holder; optionally name, and ax ay az, the nozzle's direction. Columns are separated by commas,
     semicolons, tabs or blanks. Raises InputError with file, line and column for whatever is wrong.
     """
     rows = rows_of(file, LARGEST_FILE)
@@ -136,7 +136,7 @@ def _readings(
 
 
 def contacts_of(cell: Cell, readings: Readings, length: str = "mm", angle: str = "degrees") -> Contacts:
-    """The contacts that readings stand for, were their lengths and angles in these units (LENGTHS, ANGLES)."""
+    """The contacts given by readings, if their lengths and angles are in these units (LENGTHS, ANGLES)."""
     tips, axes = readings.tips, readings.axes
     units = np.where(cell.limits.turns, ANGLES[angle], LENGTHS["mm"])
     na = len(cell.arm)
@@ -146,7 +146,7 @@ def contacts_of(cell: Cell, readings: Readings, length: str = "mm", angle: str =
     elif tips is not None:
         tips = tips * LENGTHS[length]
     else:
-        raise ValueError("readings without tips and joints")
+        raise ValueError("readings with neither tips nor joints")
     return Contacts(
         names=readings.names,
         lines=readings.lines,
@@ -158,14 +158,14 @@ def contacts_of(cell: Cell, readings: Readings, length: str = "mm", angle: str =
 
 
 def plate_poses(cell: Cell, q: Array) -> Array:
-    """What the part stands on (m, 4, 4) in the world, its free axes at q (m, k) [rad, m]; of a bed, the world."""
+    """World poses (m, 4, 4) of the part's plate with free axes at q (m, k) [rad, m]; for a bed, the world."""
     if cell.holder_robot is None:
         return np.tile(np.eye(4), (len(q), 1, 1))
     return np.asarray(cell.holder.poses(q) @ np.linalg.inv(cell.T_plate_part))
 
 
 def other_units(readings: Readings) -> list[tuple[str, str]]:
-    """Pairs of length and angle that the file might be in instead of mm and degrees."""
+    """Pairs of length and angle units that the file might be in instead of mm and degrees."""
     lengths = ["mm"] if readings.joints is not None else list(LENGTHS)
     angles = ["degrees"] if readings.joints is None and readings.holder.shape[1] == 0 else list(ANGLES)
     return [(length, angle) for length in lengths for angle in angles][1:]
@@ -175,7 +175,7 @@ def _expected(cell: Cell) -> str:
     na = len(cell.arm)
     names = [f"{name}_mm" if _unit(name, cell) == "mm" else name for name in cell.joint_names]
     also = f", and {', '.join(names[na:])}" if names[na:] else ""
-    return f"columns x_mm, y_mm, z_mm, or {', '.join(names[:na])} in degrees{also}; if wanted name, ax, ay, az"
+    return f"columns x_mm, y_mm, z_mm, or {', '.join(names[:na])} in degrees{also}; optionally name, ax, ay, az"
 
 
 def _unit(column: str, cell: Cell) -> str:
@@ -186,7 +186,7 @@ def _unit(column: str, cell: Cell) -> str:
 
 
 def _places(words: list[str], cell: Cell, wrong: Complaint) -> dict[str, int]:
-    """Where the columns stand that are known; InputError for one that is missing, unknown, or in another unit."""
+    """Indices of the known columns; InputError for one that is missing, unknown, or in another unit."""
     joints, na = cell.joint_names, len(cell.arm)
     known = {name.lower(): name for name in (*TIP, *AXIS, *NAMES, *joints)}
     places: dict[str, int] = {}
@@ -199,14 +199,14 @@ def _places(words: list[str], cell: Cell, wrong: Complaint) -> dict[str, int]:
             raise wrong(f"unknown column {word[:40]!r}", hint=f"did you mean {near}?" if near else _expected(cell))
         name = known[plain]
         if name in places:
-            raise wrong(f"column {name} is there twice")
+            raise wrong(f"column {name} appears twice")
         right = _unit(name, cell)
         if unit not in ("", right):
             raise wrong(f"column {word[:40]!r} is in {unit}", hint=f"lengths in mm, angles in degrees: {name}_{right}")
         places[name] = k
     arm = joints[:na]
     if any(name in places for name in TIP) and any(name in places for name in arm):
-        raise wrong("both the tip's place and the arm's joints are there", hint="leave one of them out")
+        raise wrong("both the tip's place and the arm's joints are given", hint="leave one of them out")
     needed = (arm if any(name in places for name in arm) else TIP) + joints[na:]
     if any(name in places for name in AXIS):
         needed += AXIS
@@ -215,8 +215,8 @@ def _places(words: list[str], cell: Cell, wrong: Complaint) -> dict[str, int]:
         columns = f"columns {', '.join(missing)} are" if len(missing) > 1 else f"column {missing[0]} is"
         raise wrong(f"{columns} missing", hint=_expected(cell))
     if all(name in places for name in NAMES):
-        raise wrong("both name and contact are there", hint="leave one of them out")
-    # groups stand together, so that a group is there if its first column is
+        raise wrong("both name and contact are given", hint="leave one of them out")
+    # columns in order of groups: a group is present if its first column is
     return {name: places[name] for name in (*NAMES, *TIP, *AXIS, *joints) if name in places}
 
 
@@ -237,16 +237,16 @@ def _number(word: str, column: str, unit: str, file: Path, line: int) -> float:
 # ----------------------------------------------------------------------------------------------------
 # The turntable and a cylinder on it from contacts at several angles, as published (Pollard et al., eq. 1).
 
-_RIGHT = 4.0  # standard deviations, within which a coordinate counts as right
-_EXACT = 1e-6  # m: readings are no exacter
+_RIGHT = 4.0  # standard deviations within which a coordinate counts as right
+_EXACT = 1e-6  # m: readings are no more exact than this
 
 
 @dataclass(frozen=True)
 class Turntable(ReadOnlyArrays):
-    """Where a table turns and what is on it, seen from above.
+    """The axes of a table and of the cylinder on it, seen from above.
 
     axis (2)    of the table in the world [m];  cylinder (2) the cylinder's own axis on the plate [m]
-    off (n, 2)  measured minus estimated places [m];  their absolute values add up to the least that is possible
+    off (n, 2)  measured minus estimated places [m], with the least possible sum of absolute values
     """
 
     axis: Array
@@ -260,21 +260,21 @@ class Turntable(ReadOnlyArrays):
 
     @property
     def usual(self) -> float:
-        """The median over contacts of |x| + |y| [m], which a few wrong ones do not change."""
+        """The median over contacts of |x| + |y| [m], which a few wrong contacts hardly affect."""
         return float(np.median(np.abs(self.off).sum(axis=1)))
 
 
 def locate(tips: Array, turns: Array, reach: Array) -> Turntable:
-    """The axes that bring estimated and measured places closest in the sum of absolute differences.
+    """The axes that minimise the sum of absolute differences between estimated and measured places.
 
     tips (n, 2) of the nozzle in the world; turns (n, 2, 2) of the plate; reach (n, 2) from the cylinder's axis to the
-    tip, which the paper, whose nozzle always points the same way, counts to the table's axis. A linear program: its
-    optimum is exact, where the paper's routine searches for it. Raises ValueError where the angles are all alike.
+    tip, which the paper, where the nozzle always points the same way, includes in the table's axis. Solved exactly as a
+    linear program, where the paper uses a search routine. Raises ValueError if all angles are equal.
     """
     n = len(tips)
     A = _columns(turns)
     if np.linalg.matrix_rank(A, tol=1e-3) < 4:
-        raise ValueError("the table stands at one angle only")
+        raise ValueError("the table is at one angle only")
     b = (tips - reach).ravel()
     least = eye_array(2 * n)
     solved = linprog(
@@ -288,14 +288,14 @@ def locate(tips: Array, turns: Array, reach: Array) -> Turntable:
 
 
 def settled(table: Turntable, turns: Array) -> tuple[Turntable, Flags]:
-    """Least squares over the coordinates that eq. (1) fits, and which contacts (n) are right in both of theirs.
+    """Least squares over the coordinates that eq. (1) fits, and whether contacts (n) are right in both coordinates.
 
-    The least sum of absolute differences is hardly led astray by a wrong contact, but has half as much again of the
-    variance that normal noise leaves to least squares. turns (n, 2, 2) as `locate` had them.
+    The least sum of absolute differences is robust against wrong contacts, but for normal noise its variance is half as
+    much again as that of least squares. turns (n, 2, 2): as for `locate`.
     """
     A, off = _columns(turns), table.off.ravel()
     free = A.shape[1]
-    # eq. (1) goes through as many coordinates as it has unknowns
+    # the solution of eq. (1) fits as many coordinates exactly as it has unknowns
     deviation = MAD_TO_SIGMA * float(np.median(np.abs(off))) * math.sqrt(len(off) / max(len(off) - free, 1))
     kept = np.abs(off) <= _RIGHT * max(deviation, _EXACT)
     if np.linalg.matrix_rank(A[kept], tol=1e-3) < free:
@@ -306,13 +306,13 @@ def settled(table: Turntable, turns: Array) -> tuple[Turntable, Flags]:
 
 
 def axis_of(T_world_plate: Array) -> tuple[Array, Array]:
-    """Where the problem has the axis (2) about which upright plates (n, 4, 4) turn, in the world, and where a plate's origin
-    (2) is from there, in the plate's frame [m]. The plates stand at two angles at least."""
+    """The axis (2), in the world, about which upright plates (n, 4, 4) of the problem turn, and the plate's origin (2)
+    relative to it, in the plate's frame [m]. The plates must be at two or more angles."""
     A = _columns(T_world_plate[:, :2, :2])
     z = np.asarray(np.linalg.lstsq(A, T_world_plate[:, :2, 3].ravel(), rcond=None)[0], dtype=np.float64)
     return z[:2], z[2:]
 
 
 def _columns(turns: Array) -> Array:
-    """How the measured places (2n) change with the table's axis and the cylinder's (4), the plate turned by (n, 2, 2)."""
+    """Derivatives of the measured places (2n) by the axes of table and cylinder (4), plate turned by (n, 2, 2)."""
     return np.concatenate([np.tile(np.eye(2), (len(turns), 1, 1)), turns], axis=2).reshape(-1, 4)

@@ -1,4 +1,4 @@
-"""From a problem and its contacts to the placement of the part, or to what is wrong with the contacts."""
+"""From a problem and its contacts to the placement of the part, or to the fault of the contacts."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ from planner.register.places import (
 from planner.toolpath.bead import Surface, Toolpath
 from planner.toolpath.build import build_toolpath
 
-MISFIT = 1e-3  # m: contacts that agree no better are not those of this part, or not in these units
-FAR_OFF = 0.3  # m: nobody places a part so far from where the problem has it
-_MUCH_BETTER = 0.1  # as far off: then the file is in that unit
+MISFIT = 1e-3  # m: contacts that agree no better are of another part, or in other units
+FAR_OFF = 0.3  # m: no part is placed this far from its place in the problem
+_MUCH_BETTER = 0.1  # × the misfit: the file is in a unit that brings it down to this
 
 
 @dataclass(frozen=True)
 class Ask:
-    """What is asked for: freedoms of the part that are looked for (none given: what suits it), whether the table's
-    axis and the size are; radius of what touches and standard deviation of a touch, if known [m]."""
+    """A request: freedoms of the part to be found (None: those that suit it), whether to find the table's axis and the
+    size; radius of the probe's ball and standard deviation of a touch, if known [m]."""
 
     free: tuple[str, ...] | None = None
     table: bool = False
@@ -72,10 +72,10 @@ class Ask:
 
 @dataclass(frozen=True)
 class Scene:
-    """A problem with what registration asks of it: its cell, beads, bare surface, and where the part should be.
+    """A problem with what registration needs of it: its cell, beads, bare surface, and where the part should be.
 
     points, normals (n, 3) on the surface, where it may be touched;  tangents there, a rough stand-in for the surface
-    nozzle  that touches, of several; empty where nobody says which: the cell is then that of the first one
+    nozzle  the one of several that touches; empty if not specified: the cell then has the first one
     """
 
     problem: Problem
@@ -91,7 +91,7 @@ class Scene:
 
     @property
     def home_plates(self) -> Array:
-        """What the part stands on (k, 4, 4) with the holder at home, and turned all around if it turns."""
+        """Poses (k, 4, 4) of the part's plate with the holder at home, and turned all the way around if it can turn."""
         limits = self.cell.limits
         home = self.cell.home[len(self.cell.arm) :]
         turns = len(home) > 0 and bool(limits.turns[-1])
@@ -103,10 +103,10 @@ class Scene:
 
 @dataclass(frozen=True)
 class Registration:
-    """What contacts say.
+    """The result from contacts.
 
-    held      freedoms that the contacts do not see and the nozzle's height does not ask for, in words
-    turntable the table as published, where it can be found from these contacts
+    held      freedoms that the contacts do not observe and the nozzle's height does not depend on, in words
+    turntable the table as published, if it can be found from these contacts
     """
 
     scene: Scene
@@ -118,7 +118,7 @@ class Registration:
 
 
 def scene_of(problem: Problem, nozzle: str = "") -> Scene:
-    """All that is needed of a problem; nozzle: which of several touches. Raises InputError for what is wrong with it."""
+    """The scene of a problem; nozzle: which of several touches. Raises InputError for whatever is wrong with it."""
     cell = build_cell(problem)
     names = [each.name for each in cell.nozzles]
     if nozzle and nozzle not in names:
@@ -131,8 +131,8 @@ def scene_of(problem: Problem, nozzle: str = "") -> Scene:
     if any(bead.round for bead in toolpath.beads):
         raise problem.error(
             "layers.source.kind",
-            "struts in space lie on no surface that could be touched",
-            "touch what stands there in their place",
+            "struts in space do not lie on a surface that could be touched",
+            "touch whatever stands there instead",
         )
     surface = toolpath.surface.before(0)
     T = cell.T_world_holder if cell.holder_robot is None else cell.T_plate_part
@@ -152,14 +152,14 @@ def scene_of(problem: Problem, nozzle: str = "") -> Scene:
 
 
 def freedoms_of(problem: Problem, ask: Ask) -> tuple[str, ...]:
-    """The freedoms of the part that are looked for: all, but of an upright cylinder only where it stands."""
+    """The freedoms of the part to be found: by default all, but only x and y for an upright cylinder."""
     if ask.free is not None:
         return ask.free
     return ("x", "y") if problem.part is not None and problem.part.cylinder is not None else FREEDOMS
 
 
 def unknowns_of(scene: Scene, ask: Ask, T_world_plate: Array) -> Unknowns:
-    """What is looked for, with the plate at (n, 4, 4). Raises InputError for what cannot be asked of this problem."""
+    """The unknowns to be found, with the plate at (n, 4, 4). Raises InputError for any that the problem lacks."""
     part, problem = scene.problem.part, scene.problem
     free = freedoms_of(problem, ask)
     if ask.size and (part is None or (part.cylinder is None and part.sphere is None)):
@@ -178,8 +178,8 @@ def unknowns_of(scene: Scene, ask: Ask, T_world_plate: Array) -> Unknowns:
 def register(scene: Scene, file: Path, ask: Ask) -> Registration:
     """Find the part from a file of contacts.
 
-    Raises InputError for contacts that cannot be read, that are too few or badly spread for what is looked for, or that
-    are not those of this part.
+    Raises InputError for contacts that cannot be read, that are too few or badly spread for the unknowns, or that are
+    of another part.
     """
     readings = _readings(scene, file)
     contacts = contacts_of(scene.cell, readings)
@@ -199,16 +199,16 @@ def register(scene: Scene, file: Path, ask: Ask) -> Registration:
 
 
 def _readings(scene: Scene, file: Path) -> Readings:
-    """What a file says. Raises InputError for joints where nobody says which of several nozzles they brought to the part."""
+    """The readings of a file. Raises InputError for joints if it is not known which of several nozzles touched."""
     readings = read_readings(file, scene.cell)
     if readings.joints is not None and scene.cell.nozzles and not scene.nozzle:
-        hint = f"--nozzle, one of {', '.join(each.name for each in scene.cell.nozzles)}"
-        raise InputError("joints do not tell which of the nozzles touched", file=file, hint=hint)
+        hint = f"give --nozzle, one of {', '.join(each.name for each in scene.cell.nozzles)}"
+        raise InputError("joints do not show which of the nozzles touched", file=file, hint=hint)
     return readings
 
 
 def judged(scene: Scene, ask: Ask, found: Fit) -> Registration:
-    """A fit with what it leaves free and how sure it is. Raises InputError where the nozzle's height depends on that."""
+    """A fit with its free directions and uncertainty. Raises InputError if the nozzle's height is left free."""
     plates = _plates(scene, ask, found.touch.contacts)
     return Registration(
         scene=scene,
@@ -222,8 +222,8 @@ def judged(scene: Scene, ask: Ask, found: Fit) -> Registration:
 
 @dataclass(frozen=True)
 class Published:
-    """A table and the cylinder on it by Pollard et al., eq. (1); what least squares make of that over the contacts which it
-    fits; which contacts (n) these are, and the names of all; and the placement that this is."""
+    """A table and the cylinder on it by Pollard et al., eq. (1); the same settled by least squares over the contacts
+    that it fits; whether each contact (n) is among these, and the names of all; and the resulting placement."""
 
     table: Turntable
     settled: Turntable
@@ -240,16 +240,16 @@ class Published:
 def as_published(scene: Scene, file: Path, ball: float = 0.0) -> Published:
     """The table's axis and the cylinder on it by eq. (1) of Pollard et al., settled by least squares.
 
-    Contacts of a nozzle that always comes from one side are enough, at several angles of the table; ball [m]: radius of what
-    touches.
-    Raises InputError for other parts and tables, and for contacts that this cannot be told from.
+    Contacts of a nozzle that always comes from one side are enough, at several angles of the table; ball [m]: radius of
+    the probe's ball.
+    Raises InputError for other parts and tables, and for contacts that do not determine these axes.
     """
     readings = _readings(scene, file)
     contacts = contacts_of(scene.cell, readings)
     part, cell = scene.problem.part, scene.cell
     if part is None or part.cylinder is None:
         raise scene.problem.error(
-            "part", "is no cylinder", "eq. (1) is for a cylinder on a turntable: leave out --published"
+            "part", "is not a cylinder", "eq. (1) is for a cylinder on a turntable: leave out --published"
         )
     if cell.holder_robot is None or not len(cell.holder):
         raise scene.problem.error("cell", "has no table that turns", "--published is for a positioner with a free axis")
@@ -281,8 +281,8 @@ def as_published(scene: Scene, file: Path, ball: float = 0.0) -> Published:
 
 
 def suggest_next(found: Registration) -> tuple[TouchPlaces, int, float] | None:
-    """The place to touch next, as a row of places, and what share of the worst error in height it would leave; None
-    where the arm touches no place along its normal and is clear of everything else."""
+    """Places, the index of the one to touch next, and the share of the worst error in height that it would leave; None
+    if the arm can touch no place along its normal while clear of everything else."""
     scene, fit = found.scene, found.fit
     places = reachable(scene.cell, fit.placement, scene.points, scene.normals)
     contacts, unknowns = fit.touch.contacts, fit.touch.unknowns
@@ -299,7 +299,7 @@ def suggest_next(found: Registration) -> tuple[TouchPlaces, int, float] | None:
 
 
 def _hit(clearance: Clearance, placement: Placement, places: TouchPlaces, k: int) -> NDArray[np.bool_]:
-    """Which places fall away because something is hit at the k-th: all at its point if the part is, or only itself."""
+    """Which places are ruled out as something is hit at the k-th: all at its point if it is the part, else itself."""
     poses = clearance.fits(places.points[k], places.normals[k])
     if not poses:
         return np.asarray((places.points == places.points[k]).all(axis=1))
@@ -307,10 +307,10 @@ def _hit(clearance: Clearance, placement: Placement, places: TouchPlaces, k: int
 
 
 def plan_contacts(scene: Scene, ask: Ask, count: int) -> tuple[TouchPlaces, list[int]]:
-    """Where to touch before anything was touched: places, and which of them (count, or as many as are far enough from each
+    """Where to touch first: places, and the indices of the chosen ones (count, or as many as are far enough from each
     other).
 
-    Raises InputError where the arm reaches none of them and is clear of everything else.
+    Raises InputError if the arm can reach none of them while clear of everything else.
     """
     places = reachable(scene.cell, scene.start, scene.points, scene.normals)
     clearance = Clearance.of(scene.problem, scene.cell, scene.surface)
@@ -325,12 +325,12 @@ def plan_contacts(scene: Scene, ask: Ask, count: int) -> tuple[TouchPlaces, list
 
 
 def _plates(scene: Scene, ask: Ask, contacts: Contacts) -> Array:
-    """What the part stands on (k, 4, 4) while it is printed, as far as the nozzle's height depends on it."""
+    """Poses (k, 4, 4) of the part's plate during the print that matter to the nozzle's height."""
     return scene.home_plates if ask.table else contacts.T_world_plate[:1]
 
 
 def _enough(scene: Scene, unknowns: Unknowns, contacts: Contacts, plates: Array) -> None:
-    """At least as many contacts as the height of the nozzle has unknowns."""
+    """Raise InputError if there are fewer contacts than unknowns that affect the nozzle's height."""
     asked = split(scene.waypoints.heights(unknowns, scene.start, plates))[0].shape[1]
     if len(contacts) < asked:
         raise InputError(
@@ -341,7 +341,7 @@ def _enough(scene: Scene, unknowns: Unknowns, contacts: Contacts, plates: Array)
 
 
 def _fits(scene: Scene, readings: Readings, found: Fit, ask: Ask) -> None:
-    """Raise InputError where contacts are not on this surface: in which unit they would be, or how far they are off."""
+    """Raise InputError if contacts are not on this surface: in which unit they would be, or how far they are off."""
     off = _off(found)
     before = float(np.median(np.abs(found.touch.residuals(scene.start))))
     if off <= MISFIT and before <= FAR_OFF:
@@ -356,8 +356,8 @@ def _fits(scene: Scene, readings: Readings, found: Fit, ask: Ask) -> None:
         if right and (off <= MISFIT or _off(other) <= _MUCH_BETTER * off):
             unit = length if readings.joints is None and length != "mm" else angle
             raise InputError(
-                f"the readings seem to be in {unit}: as such they fit the part to {_off(other) * 1e3:.2f} mm, "
-                f"as they should be to {off * 1e3:.1f} mm",
+                f"the readings seem to be in {unit}: read that way they fit the part to {_off(other) * 1e3:.2f} mm, "
+                f"read as they should be only to {off * 1e3:.1f} mm",
                 file=readings.file,
                 hint="lengths in mm, angles in degrees",
             )
@@ -377,12 +377,12 @@ def _fits(scene: Scene, readings: Readings, found: Fit, ask: Ask) -> None:
 
 
 def _off(found: Fit) -> float:
-    """Root mean square of the residuals of the contacts that were kept [m]."""
+    """Root mean square of the residuals of the kept contacts [m]."""
     return float(np.sqrt((found.residuals[found.kept] ** 2).mean()))
 
 
 def _determined(scene: Scene, found: Fit, plates: Array) -> list[str]:
-    """What contacts do not see, in words; InputError where the nozzle's height depends on it."""
+    """Freedoms that contacts do not observe, in words; InputError if the nozzle's height depends on one."""
     unknowns = found.touch.unknowns
     hidden = split(found.columns)[1]
     H = scene.waypoints.heights(unknowns, found.placement, plates)
@@ -391,7 +391,7 @@ def _determined(scene: Scene, found: Fit, plates: Array) -> list[str]:
         free = "; ".join(words(unknowns, matters))
         contacts = found.touch.contacts
         raise InputError(
-            f"the contacts leave free what changes the nozzle's height: {free}",
+            f"the contacts do not fix what the nozzle's height depends on: {free}",
             file=contacts.file,
             hint="touch places whose normals point other ways, far apart and not in one line; --suggest names them",
         )
@@ -410,7 +410,7 @@ def _turntable(scene: Scene, contacts: Contacts, ball: float) -> Turntable | Non
         level = contacts.axes[:, :2]
         length = np.linalg.norm(level, axis=1)[:, None]
         if (length < 0.5).any():
-            return None  # the nozzle points down, and says nothing of the side from which it came
+            return None  # the nozzle points down, which does not show from which side it came
         reach = -(part.cylinder.radius + ball) * level / length
     try:
         return locate(contacts.tips[:, :2], R[:, :2, :2], reach)

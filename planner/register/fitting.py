@@ -1,4 +1,4 @@
-"""Least squares of contacts on a surface: a placement as unknowns, the fit, and how sure it is."""
+"""Least squares of contacts on a surface: a placement as unknowns, the fit, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from planner.register.contacts import Contacts
 from planner.toolpath.bead import Toolpath
 
 # ----------------------------------------------------------------------------------------------------
-# A part's placement as unknowns: its pose on what carries it, where the table's axis stands, how large the body is.
+# A part's placement as unknowns: its pose on its carrier, the place of the table's axis, and the size of the body.
 #
-# Contacts see it through the distance of their tips from the part's bare surface; how that changes with each unknown
-# follows from the slope of the distance alone, so any surface that knows its signed distance can be found.
+# Contacts observe it through the distance of their tips from the part's bare surface; derivatives by the unknowns
+# follow from the gradient of the distance alone, so any surface with a signed distance can be located.
 
 TURNS = slice(3, 6)
 SHIFTS = slice(6, 9)
 SIZE = 9
 UNKNOWNS = 10  # x, y, z, turns about x, y, z of the part frame; shift of the table in the world; growth of the body
-_ASIDE = 1e-5  # m, to either side, for the slope of the distance
+_ASIDE = 1e-5  # m to either side: step of finite differences
 
 
 class Distance(Protocol):
-    """A surface that knows how far points are (metres, part frame)."""
+    """A surface with a signed distance of points (metres, part frame)."""
 
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3); negative inside."""
@@ -44,9 +44,9 @@ class Distance(Protocol):
 class Placement(ReadOnlyArrays):
     """Where the part is.
 
-    T_plate_part (4, 4)  on its plate or flange; of a bed, in the world
-    shift (3)            of the table from where the problem has it, in the world [m]
-    growth               by which the body is larger than drawn, along its normals [m]
+    T_plate_part (4, 4)  on its plate or flange; on a bed, in the world
+    shift (3)            of the table from its place in the problem, in the world [m]
+    growth               how much larger the body is than drawn, along its normals [m]
     """
 
     T_plate_part: Array
@@ -73,7 +73,7 @@ class Placement(ReadOnlyArrays):
 
 
 def slopes(surface: Distance, points: Array) -> Array:
-    """Gradients (n, 3) of the signed distance at points (n, 3): outward unit normals where it is smooth."""
+    """Gradients (n, 3) of the signed distance at points (n, 3): outward unit normals where the surface is smooth."""
     n = len(points)
     steps = _ASIDE * np.vstack([np.eye(3), -np.eye(3)])
     around = surface.signed_distance((points[None] + steps[:, None]).reshape(-1, 3)).reshape(6, n)
@@ -81,27 +81,28 @@ def slopes(surface: Distance, points: Array) -> Array:
 
 
 def rows(points: Array, normals: Array, T_world_part: Array, centre: Array) -> Array:
-    """How much the distance of points fixed in the world (n, 3 in the part frame) from the surface grows with each unknown.
+    """Derivatives (n, 10), by each unknown, of the distance from the surface of points fixed in the world.
 
-    normals (n, 3) of the surface there, T_world_part (n, 4, 4), centre (3) about which the part turns; returns (n, 10).
+    points (n, 3) in the part frame, normals (n, 3) of the surface there, T_world_part (n, 4, 4), centre (3) about which
+    the part turns.
     """
     away = np.einsum("nij,nj->ni", T_world_part[:, :3, :3], normals)
     return np.column_stack([-normals, -np.cross(points - centre, normals), -away, -np.ones(len(points))])
 
 
 # ----------------------------------------------------------------------------------------------------
-# Which unknowns of a placement are looked for, which of them a set of touched places fixes, and words for the others.
+# The unknowns of a placement to be found, which of them a set of touched places determines, and words for the others.
 
 FREEDOMS = ("x", "y", "z", "rx", "ry", "rz")
-# A freedom that moves the touched places by less than this share of its own size along their normals is not seen there:
-# noise would be blown up a hundredfold. Facets of a round mesh let a turn about its own axis show by less than that.
+# A freedom that moves the touched places along their normals by less than this share of its own size is not observable:
+# noise would be amplified a hundredfold. The facets of a round mesh reveal a turn about its own axis by less than that.
 SEEN = 0.01
-_ALIKE = 1e-3  # relative: a turn that shifts its axis by less is a turn alone, a slide that turns by less a slide
+_ALIKE = 1e-3  # relative: a turn that shifts its axis by less is a pure turn, a slide that turns by less a pure slide
 
 
 @dataclass(frozen=True)
 class Unknowns(ReadOnlyArrays):
-    """What is looked for.
+    """The unknowns to be found.
 
     basis (10, p)  orthonormal columns of unknowns, all in metres: turns are metres at a distance of `lever` [m] from
                    `centre` (3), in the part frame
@@ -113,29 +114,29 @@ class Unknowns(ReadOnlyArrays):
 
     @property
     def scale(self) -> Array:
-        """What turns unknowns in metres into metres and radians (10)."""
+        """Factors (10) from unknowns in metres to metres and radians."""
         out = np.ones(UNKNOWNS)
         out[TURNS] = 1.0 / self.lever
         return out
 
     @property
     def table(self) -> bool:
-        """Whether the table is looked for."""
+        """Whether the table is to be found."""
         return bool(np.abs(self.basis[SHIFTS]).max() > 0.0)
 
     def columns(self, rows: Array) -> Array:
-        """Rows (n, 10) in metres and radians as rows (n, p) of what is looked for."""
+        """Rows (n, 10) in metres and radians as rows (n, p) of the unknowns to be found."""
         return np.asarray((rows * self.scale) @ self.basis)
 
     def step(self, z: Array) -> Array:
-        """Values (p) of what is looked for as unknowns (10) in metres and radians."""
+        """Values (p) of the unknowns to be found as all unknowns (10) in metres and radians."""
         return np.asarray(self.scale * (self.basis @ z))
 
 
 def looked_for(free: tuple[str, ...], table: Array, size: bool, places: Array) -> Unknowns:
-    """Unknowns for named freedoms of the part frame, shifts of the table along orthonormal directions (3, k), the size.
+    """Unknowns for named freedoms of the part frame, shifts of the table along directions (3, k), and the size.
 
-    places (n, 3) of the part, which say what is far and what is near.
+    places (n, 3) of the part: they give the centre and the lever of turns.
     """
     columns = [np.eye(UNKNOWNS)[:, FREEDOMS.index(name)] for name in free]
     for direction in table.T:
@@ -150,10 +151,10 @@ def looked_for(free: tuple[str, ...], table: Array, size: bool, places: Array) -
 
 
 def table_ways(T_world_plate: Array) -> Array:
-    """Directions (3, k) of the world in which a table's place can be told from that of the part on it.
+    """World directions (3, k) in which a table's place can be distinguished from that of the part on it.
 
-    Those along which its turns (n, 4, 4) move the part; a part that turns about the vertical only cannot tell how high
-    its table is.
+    These are the directions in which its turns (n, 4, 4) move the part; a part that turns about the vertical only does
+    not reveal how high its table is.
     """
     R = T_world_plate[:, :3, :3]
     turned = R @ R[0].T - np.eye(3)
@@ -165,14 +166,14 @@ def table_ways(T_world_plate: Array) -> Array:
 
 
 def split(J: Array) -> tuple[Array, Array]:
-    """Orthonormal directions (p, r) that rows (n, p) see, and (p, k) that they do not."""
+    """Orthonormal directions (p, r) that rows (n, p) observe, and (p, k) that they do not."""
     square, ways = np.linalg.eigh(J.T @ J / max(len(J), 1))
     seen = square > SEEN**2
     return ways[:, seen], ways[:, ~seen]
 
 
 def words(unknowns: Unknowns, hidden: Array) -> list[str]:
-    """Each of the orthonormal directions (p, k) in plain words, in the part frame; mixtures are untangled first."""
+    """Each of the orthonormal directions (p, k) in plain words, in the part frame; mixtures are separated first."""
     full = unknowns.basis @ hidden
     if full.shape[1] == 0:
         return []
@@ -197,7 +198,7 @@ def words(unknowns: Unknowns, hidden: Array) -> list[str]:
 
 
 def _pivot(turns: Array, lever: float) -> Array:
-    """The point (3), from the centre, that turns (10, k) leave where it is, as nearly as can be."""
+    """The point (3), relative to the centre, that turns (10, k) leave in place, as nearly as possible."""
     rows = [_cross(turn[TURNS] / lever) for turn in turns.T]  # the point moves by v + w x p
     return np.linalg.lstsq(np.vstack(rows), -np.concatenate([turn[:3] for turn in turns.T]), rcond=1e-9)[0]
 
@@ -207,7 +208,7 @@ def _cross(w: Array) -> Array:
 
 
 def _straightened(slides: Array) -> Array:
-    """The same span (3, k) by the axes of the part frame, where it is spanned by some of them."""
+    """The same span (3, k) by axes of the part frame, if some of them span it."""
     if slides.shape[1] == 0:
         return slides
     along = np.linalg.norm(slides, axis=1) / max(float(np.linalg.norm(slides, axis=0).max()), 1e-12)
@@ -236,32 +237,32 @@ def _mixture(column: Array) -> str:
 # ----------------------------------------------------------------------------------------------------
 # Least squares of contacts on a surface, where some of the contacts may be wrong.
 #
-# Several starts, each with weights that fall with the residual, give a placement near the right one. There the problem is
-# nearly linear, so that the placement of the least trimmed squares (Rousseeuw, 1984) is searched over many small sets of
-# contacts in no time. From the contacts that it keeps a forward search takes in all others that agree with them
-# (Hadi and Simonoff, 1993), and plain least squares over these is the result.
+# Several starts, each with weights that fall with the residual, give a placement near the right one. There the problem
+# is nearly linear, so that the placement of least trimmed squares (Rousseeuw, 1984) is quickly found over many small
+# sets of contacts. From the contacts that it keeps, a forward search adds all others that agree with them (Hadi and
+# Simonoff, 1993), and plain least squares over these is the result.
 
 LEAST_NOISE = 5e-6  # m: readings are rounded to 0.01 mm, so that no fit is better than this
 MOST_WRONG = 0.3  # share of contacts that may be wrong
-_TURNED = np.radians(15.0)  # of further starts about each axis
-_BETTER = 0.25  # of the trimmed sum of squares, by which another start must be better than the problem's own placement
-_NEAR = 0.1e-3  # m: contacts that agree so well need no other start
+_TURNED = np.radians(15.0)  # further starts are turned by this about each axis
+_BETTER = 0.25  # × the trimmed sum of squares so far: another start must fall below this
+_NEAR = 0.1e-3  # m: contacts that agree this well need no other start
 _ROUNDS, _STEPS, _LAST_STEPS = 12, 3, 60
-_CLOSE = 1e-11  # m: a step as small as this ends the search
-_FARTHEST_STEP = 0.05  # m: the distance of a bent surface is no straight line
-_SETS = 400  # of contacts that are tried, at most
-_AGREEMENTS = 6  # times that contacts are chosen anew at the placement that the last choice gave
-_UNSEEN = 1e-9  # added to squares of columns: a direction that none of the contacts sees, to far below SEEN
-_TURNS_FIRST = 1e9  # by which a turn that is not seen counts for more than a slide
-_UNMOVED = 1e-9  # m along what is not seen, that end the way back
-_DOUBT = 0.002  # probability of leaving out a contact that is as good as the others: that makes all seem more exact
+_CLOSE = 1e-11  # m: a smaller step ends the search
+_FARTHEST_STEP = 0.05  # m: longest step, as the distance from a curved surface is not linear
+_SETS = 400  # most sets of contacts tried
+_AGREEMENTS = 6  # most times that contacts are chosen again at the placement from the last choice
+_UNSEEN = 1e-9  # added to squares of columns, for directions that no contact observes; far below SEEN
+_TURNS_FIRST = 1e9  # weight of an unobserved turn relative to a slide
+_UNMOVED = 1e-9  # m along unobserved directions: a smaller step ends the way back
+_DOUBT = 0.002  # probability of leaving out a contact as good as the others, which makes all seem more exact
 
 
 @dataclass(frozen=True)
 class Touch:
-    """Contacts on a surface, and what is looked for: all that a fit is made of. ball [m]: radius of what touches.
+    """Contacts on a surface, and the unknowns: the input of a fit. ball [m]: radius of the probe's ball.
 
-    rough  a stand-in for the surface that knows no other side, for starts that are farther off than the part is thick
+    rough  a stand-in for the surface without a far side, for starts that are farther off than the part is thick
     """
 
     surface: Distance
@@ -276,7 +277,7 @@ class Touch:
         return np.asarray(self.surface.signed_distance(points) - self.ball - placement.growth)
 
     def columns(self, placement: Placement) -> Array:
-        """How residuals change with each unknown (n, p)."""
+        """Derivatives (n, p) of the residuals by each unknown."""
         points = placement.seen(self.contacts.tips, self.contacts.T_world_plate)
         T_world_part = self.contacts.T_world_plate @ placement.T_plate_part
         return self.unknowns.columns(rows(points, slopes(self.surface, points), T_world_part, self.unknowns.centre))
@@ -286,7 +287,7 @@ class Touch:
 class Fit:
     """A placement and how contacts (n) agree with it.
 
-    residuals (n) [m]; kept (n) which are not outliers; rank of what the kept ones see
+    residuals (n) [m]; kept (n): whether each is not an outlier
     """
 
     touch: Touch
@@ -300,24 +301,24 @@ class Fit:
 
     @cached_property
     def columns(self) -> Array:
-        """How the residuals of the contacts that were kept change with each unknown (m, p)."""
+        """Derivatives (m, p) of the residuals of kept contacts by each unknown."""
         return self.touch.columns(self.placement)[self.kept]
 
     @property
     def spare(self) -> int:
-        """By how many the contacts that were kept are more than what they fix."""
+        """Redundancy: the number of kept contacts minus the number of unknowns that they determine."""
         return int(self.kept.sum()) - split(self.columns)[0].shape[1]
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a touch, from the residuals [m]; NaN where no contact is to spare."""
+        """Standard deviation of a touch, from the residuals [m]; NaN if no contact is to spare."""
         if self.spare < 1:
             return math.nan
         return max(float(np.sqrt((self.residuals[self.kept] ** 2).sum() / self.spare)), LEAST_NOISE)
 
 
 def fit(touch: Touch, start: Placement, noise: float | None = None) -> Fit:
-    """The placement of a touched part; `noise` [m] is the standard deviation of a touch, where that is known."""
+    """The placement of a touched part; `noise` [m] is the standard deviation of a touch, if known."""
     n = len(touch.contacts)
     placement = _nearby(touch, start)
     everything = np.ones(n, dtype=bool)
@@ -333,11 +334,11 @@ def fit(touch: Touch, start: Placement, noise: float | None = None) -> Fit:
 
 
 def least_moved(touch: Touch, start: Placement, placement: Placement, kept: Flags) -> Placement:
-    """Of all placements that the contacts cannot tell from this one, the one that is not moved from the start in ways that
-    they do not see; turns come first, where a slide and a turn are one.
+    """Of all placements that the contacts cannot distinguish from this one, the one not moved from the start in
+    directions that they do not observe; turns have priority where a slide and a turn are equivalent.
 
-    Turns that are seen add up to one that is not, and so do the starts of the search: a bowl would be turned about its own
-    axis, by whatever came of it.
+    Observed turns can add up to an unobserved one, and so can the starts of the search: a bowl would end up turned
+    about its own axis by an arbitrary angle.
     """
     unknowns = touch.unknowns
     first = np.ones(UNKNOWNS)
@@ -360,7 +361,7 @@ def least_moved(touch: Touch, start: Placement, placement: Placement, kept: Flag
 
 
 def _away(unknowns: Unknowns, start: Placement, placement: Placement) -> Array:
-    """How far a placement is from the start, in unknowns (10) that are all in metres."""
+    """The difference of a placement from the start as unknowns (10), all in metres."""
     T = np.linalg.inv(start.T_plate_part) @ placement.T_plate_part
     out = np.empty(UNKNOWNS)
     out[:3] = T[:3, :3] @ unknowns.centre + T[:3, 3] - unknowns.centre
@@ -370,12 +371,12 @@ def _away(unknowns: Unknowns, start: Placement, placement: Placement) -> Array:
 
 
 def most_wrong(n: int, rank: int) -> int:
-    """How many of n contacts may be wrong, if the others fix `rank` unknowns and still tell that they are wrong."""
+    """How many of n contacts may be wrong, if the others must fix `rank` unknowns and still reveal the wrong ones."""
     return max(0, min(int(MOST_WRONG * n), n - rank - 2))
 
 
 def _nearby(touch: Touch, start: Placement) -> Placement:
-    """The best of several starts, each brought to a minimum with weights that fall with the residual."""
+    """The best of several starts, each led to a minimum with weights that fall with the residual."""
     n = len(touch.contacts)
     h = n - most_wrong(n, touch.unknowns.basis.shape[1])
     best, least = start, math.inf
@@ -392,7 +393,7 @@ def _nearby(touch: Touch, start: Placement) -> Placement:
 
 
 def _weighted(touch: Touch, placement: Placement, h: int) -> Placement:
-    """A minimum with weights that fall with the residual, by the size of the h-th of them."""
+    """A minimum with weights that fall with the residual, relative to the h-th smallest residual."""
     r = np.abs(touch.residuals(placement))
     for _ in range(_ROUNDS):
         scale = max(float(np.sort(r)[h - 1]), LEAST_NOISE)
@@ -404,7 +405,7 @@ def _weighted(touch: Touch, placement: Placement, h: int) -> Placement:
 
 
 def _starts(unknowns: Unknowns, start: Placement) -> list[Placement]:
-    """The start itself twice, for a rough fit and for its own sake, and turned about each axis that may turn."""
+    """The start itself twice, with and without a rough fit first, and turned about each axis that may turn."""
     out = [start, start]
     for axis in range(3):
         if np.linalg.norm(unknowns.basis[TURNS][axis]) > 0.5:
@@ -416,7 +417,7 @@ def _starts(unknowns: Unknowns, start: Placement) -> list[Placement]:
 
 
 def _settled(touch: Touch, placement: Placement, weights: Array, steps: int) -> Placement:
-    """A minimum of the weighted sum of squares, by Levenberg and Marquardt's method; what is not seen is left alone."""
+    """A minimum of the weighted sum of squares by Levenberg-Marquardt; unobserved directions are left alone."""
     root = np.sqrt(weights)
     r = touch.residuals(placement)
     cost, damping = float(weights @ r**2), 0.0
@@ -442,7 +443,7 @@ def _settled(touch: Touch, placement: Placement, weights: Array, steps: int) -> 
 
 
 def _agreeing(r: Array, J: Array, noise: float | None) -> Flags:
-    """Which contacts (n) agree with each other, their residuals r (n) changing with unknowns by J (n, p)."""
+    """Whether contacts (n) agree with each other, by residuals r (n) and their derivatives J (n, p) by the unknowns."""
     n, p = J.shape
     h = n - most_wrong(n, p)
     if h == n:
@@ -451,7 +452,7 @@ def _agreeing(r: Array, J: Array, noise: float | None) -> Flags:
     while not kept.all():
         m = int(kept.sum())
         off = _left(r, J, kept)
-        # what only one contact sees is not known without it: it agrees with whatever the others say
+        # a direction that only one contact observes is unknown without it: that one agrees whatever the others say
         spread = np.linalg.inv(J[kept].T @ J[kept] + _UNSEEN * np.eye(p))
         lever = np.einsum("ij,jk,ik->i", J, spread, J)
         if noise is None:
@@ -470,7 +471,7 @@ def _agreeing(r: Array, J: Array, noise: float | None) -> Flags:
 
 
 def _trimmed(share: float) -> float:
-    """How much larger the deviation of all is than that of the `share` with the least residuals, for normal noise."""
+    """Ratio of the deviation of all to that of the `share` with the least residuals, for normal noise."""
     if share >= 1.0:
         return 1.0
     q = float(norm.ppf(0.5 * (1.0 + share)))
@@ -478,7 +479,7 @@ def _trimmed(share: float) -> float:
 
 
 def _least_trimmed(r: Array, J: Array, h: int) -> Flags:
-    """The h of n contacts whose own least squares leave them the least sum of squares, as far as sets of p tell."""
+    """The h of n contacts with the least sum of squares after their own least squares, searched from sets of p."""
     n, p = J.shape
     if math.comb(n, p) <= _SETS:
         sets: list[Sequence[int]] = list(itertools.combinations(range(n), p))
@@ -502,15 +503,15 @@ def _least_trimmed(r: Array, J: Array, h: int) -> Flags:
 
 
 def _left(r: Array, J: Array, kept: Flags) -> Array:
-    """What residuals (n) become when least squares over the contacts that are kept have moved the unknowns."""
+    """Residuals (n) after least squares over the kept contacts have moved the unknowns."""
     return np.asarray(r + J @ np.linalg.lstsq(J[kept], -r[kept], rcond=None)[0])
 
 
 # ----------------------------------------------------------------------------------------------------
-# How sure a placement is, and what that means for the height of the nozzle over every bead.
+# The uncertainty of a placement, and what it means for the height of the nozzle over every bead.
 
 CONFIDENCE = 0.95
-_WAYPOINTS = 1_500  # at which the height is looked at
+_WAYPOINTS = 1_500  # about the number at which the height is evaluated
 
 
 @dataclass(frozen=True)
@@ -523,7 +524,7 @@ class BeadWaypoints:
     s: Array
 
     def heights(self, unknowns: Unknowns, placement: Placement, plates: Array) -> Array:
-        """How the nozzle's height over the part changes with each unknown: (n k, p), for each of k plates (k, 4, 4)."""
+        """Derivatives (n k, p) of the nozzle's height over the part by each unknown, for each of k plates (k, 4, 4)."""
         out = []
         for T_world_plate in plates:
             T = np.broadcast_to(T_world_plate @ placement.T_plate_part, (len(self.points), 4, 4))
@@ -546,11 +547,11 @@ def waypoints_of(toolpath: Toolpath) -> BeadWaypoints:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard errors of a placement; NaN where no contact is to spare and the noise of a touch is not known.
+    """Standard errors of a placement; NaN if no contact is to spare and the noise of a touch is not known.
 
     position (3)  of the middle of the print, along the part frame's axes [m];  angle (3) about them [rad]
     shift (3)     of the table in the world [m]
-    height (n)    of the nozzle over the part at each waypoint [m];  bound (n) what it keeps at all of them at once with
+    height (n)    of the nozzle over the part at each waypoint [m];  bound (n) of its error, at all of them at once with
                   95 % confidence (Scheffé, 1953)
     """
 
@@ -562,14 +563,14 @@ class Uncertainty:
 
     @property
     def worst(self) -> int:
-        """The waypoint at which the height is least sure."""
+        """The waypoint at which the height is most uncertain."""
         return int(np.argmax(self.height))
 
 
 def uncertainty_of(fit: Fit, waypoints: BeadWaypoints, plates: Array, noise: float | None) -> Uncertainty:
-    """What the contacts' residuals, or a known `noise` of a touch [m], say of the placement and the nozzle's height.
+    """Uncertainty of placement and nozzle height, from the contacts' residuals or a touch's known `noise` [m].
 
-    plates (k, 4, 4): what the part stands on at the angles that count; the worst of them is told.
+    plates (k, 4, 4): poses of the part's plate at the angles that count; the worst of them is reported.
     """
     unknowns, J = fit.touch.unknowns, fit.columns
     seen = split(J)[0]

@@ -1,4 +1,4 @@
-"""Where the nozzle can touch the bare part clear of all else, and which place tells most about its placement."""
+"""Where the nozzle can touch the bare part, clear of all else, and which places are most informative."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from planner.verify.bodies import CellBodies, Distances, Pair, all_at_home, pair
 # ----------------------------------------------------------------------------------------------------
 # Whether arm and head are clear of everything but the place that the nozzle touches.
 
-ROLLS = 8  # of the nozzle about its axis, that are tried
-_FREE, _SHARE = 1e-3, 0.1  # m that the head keeps from the part, or a tenth of the height above the tip, where less
-_TIP = 1e-3  # m above the tip, below which the nozzle may be as near as it likes
-_POINTS = 300  # of the head that are looked at
-_ALONG = (0.25, 0.5, 0.75)  # of the edges of the head's triangles
+ROLLS = 8  # of the nozzle about its axis that are tried
+_FREE, _SHARE = 1e-3, 0.1  # m between head and part, or × the height above the tip, whichever is less
+_TIP = 1e-3  # m above the tip: parts of the nozzle below this may come as near as they like
+_POINTS = 300  # about the number of points of the head that are checked
+_ALONG = (0.25, 0.5, 0.75)  # places along the edges of the head's triangles
 
 
 @dataclass(frozen=True)
 class Clearance:
-    """Bodies of a cell, pairs that can hit each other, and points (n, 3) on the head in the nozzle's frame."""
+    """Bodies of a cell, pairs that can collide, and points (n, 3) on the head in the nozzle's frame."""
 
     cell: Cell
     surface: Distance
@@ -40,7 +40,7 @@ class Clearance:
 
     @classmethod
     def of(cls, problem: Problem, cell: Cell, surface: Distance) -> Clearance:
-        """All that can be hit in a problem's cell."""
+        """For everything that can be hit in a problem's cell."""
         spec, bodies = problem.collision, CellBodies.of(cell)
         found = pairs(bodies, spec.nozzle, spec.arm)
         points, tips = [np.zeros((0, 3))], set()
@@ -51,14 +51,14 @@ class Clearance:
             points.append(every @ body.T_frame_solid[:3, :3].T + body.T_frame_solid[:3, 3])
             if (points[-1][:, 2] > -_TIP).any():
                 tips.add(body.name)
-        # what stands with the part may be what is touched, as a bed is: there the nozzle itself comes near
+        # a body at rest with the part, such as a bed, may be the one touched: there the nozzle itself comes near
         near = all_at_home(bodies, (), spec.nozzle)
         found += tuple(pair for pair in near if bodies.things[pair.a].name not in tips)
         head = np.vstack(points)
         return cls(cell, surface, bodies, found, _thinned(head[head[:, 2] < -_TIP]))
 
     def fits(self, point: Array, normal: Array) -> list[Array]:
-        """Nozzle poses (4, 4) on a place (3) of the part, along its normal (3), in which the head keeps from the part."""
+        """Nozzle poses (4, 4) at a place (3) of the part, along its normal (3), with the head clear of the part."""
         poses = frame_from_z(point, -normal) @ rolls()
         points = np.einsum("kij,nj->kni", poses[:, :3, :3], self.head) + poses[:, None, :3, 3]
         gap = self.surface.signed_distance(points.reshape(-1, 3)).reshape(len(poses), -1)
@@ -76,7 +76,7 @@ class Clearance:
 
 
 def _thinned(points: Array) -> Array:
-    """At most so many points (n, 3), the lower ones first: they are the nearest to the part."""
+    """Points (n, 3) thinned to about _POINTS, the lower ones first: they are the nearest to the part."""
     order = np.argsort(-points[:, 2], kind="stable")
     return points[order[:: max(1, len(points) // _POINTS)]]
 
@@ -90,8 +90,8 @@ def rolls() -> Array:
 
 
 def reached(cell: Cell, placement: Placement, T_part_nozzle: Array, q: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Postures (n, m, joints) of the arm for nozzle poses (n, 4, 4) on the part, the holder at q (k), and which of them
-    exist within joint limits: all branches, with the given joints where `_stands` has them."""
+    """Postures (n, m, joints) of the arm for nozzle poses (n, 4, 4) on the part, the holder at q (k), and whether they
+    exist within joint limits (n, m): all branches, with given joints at the positions of `_stands`."""
     na, given = len(cell.arm), cell.given
     T_world_part = plate_poses(cell, q[None])[0] @ placement.T_plate_part
     T_world_part[:3, 3] += placement.shift
@@ -106,20 +106,20 @@ def reached(cell: Cell, placement: Placement, T_part_nozzle: Array, q: Array) ->
 
 
 # ----------------------------------------------------------------------------------------------------
-# Where the nozzle can touch the bare part, and which of these places tells most about its placement.
+# Where the nozzle can touch the bare part, and which of these places are most informative about its placement.
 
-_TANGENTS = 4_000  # places beneath beads
-_MOST = 160  # places that are looked at
+_TANGENTS = 4_000  # about the number of places beneath beads
+_MOST = 160  # most places considered, beneath beads and on the body
 _ON = 1e-6  # m: a place no farther off lies on the surface; others are beyond its rim
-_RIM = 5e-3  # m: no place so close to the lower edge of the body, where what it stands on is in the way
-_CLEAR = (2e-3, 10e-3, 40e-3)  # m above a place where the nozzle is, and the part must not be
-_BESIDE, _BENT = 8e-3, 2e-3  # m to all sides, where the surface is no farther off: a place away from rims and edges
-_ANGLES = 12  # of a chosen joint, that are tried
-APART = 5e-3  # m between places: closer ones tell nothing new of where a touch went wrong
-# Square of the noise of a touch, 0.1 mm, over how well the placement is known before, 10 mm: makes few contacts comparable.
+_RIM = 5e-3  # m: no place this close to the lower edge of the body, where its support is in the way
+_CLEAR = (2e-3, 10e-3, 40e-3)  # m above a place: the nozzle is there, so the part must not be
+_BESIDE, _BENT = 8e-3, 2e-3  # m to all sides, and m that the surface may be off there: else a rim or edge is near
+_ANGLES = 12  # of a chosen joint that are tried
+APART = 5e-3  # m between places: closer ones add nothing to reveal a wrong touch
+# Square of a touch's noise (0.1 mm) over the placement's prior uncertainty (10 mm): makes few contacts comparable.
 _ROUGH = (0.1 / 10.0) ** 2
 _ROUNDS = 8
-_HEIGHTS = 1_000  # at which a next place is judged: places times heights bound the memory
+_HEIGHTS = 1_000  # about the number at which a next place is judged: places times heights bound the memory
 
 
 @dataclass(frozen=True)
@@ -138,18 +138,18 @@ class TouchPlaces(ReadOnlyArrays):
         return len(self.points)
 
     def only(self, which: NDArray[np.bool_]) -> TouchPlaces:
-        """Those that are wanted (n)."""
+        """A selection (n) of them."""
         return TouchPlaces(self.points[which], self.normals[which], self.q[which], self.T_world_plate[which])
 
     def columns(self, unknowns: Unknowns, placement: Placement) -> Array:
-        """How a contact's residual at each place would change with each unknown (n, p)."""
+        """Derivatives (n, p), by each unknown, of the residual of a contact at each place."""
         T_world_part = self.T_world_plate @ placement.T_plate_part
         return unknowns.columns(rows(self.points, self.normals, T_world_part, unknowns.centre))
 
 
 @dataclass(frozen=True)
 class Tangents:
-    """Tangent planes at places (n, 3) of the side that is printed on, each as far as it is the nearest one."""
+    """Tangent planes at places (n, 3) of the side printed on, each valid where its place is the nearest one."""
 
     points: Array
     normals: Array
@@ -157,7 +157,7 @@ class Tangents:
 
     @classmethod
     def of(cls, toolpath: Toolpath, surface: Distance, points: Array, normals: Array) -> Tangents:
-        """Those beneath the first layer's beads, and at places (n, 3) with normals besides."""
+        """Tangent planes beneath the first layer's beads, and at further places (n, 3) with normals."""
         beneath = np.vstack([bead.points for bead in toolpath.lowest])
         beneath = beneath[:: max(1, len(beneath) // _TANGENTS)]
         outward = slopes(surface, beneath)
@@ -172,7 +172,7 @@ class Tangents:
 
 
 def surface_places(toolpath: Toolpath, surface: Distance) -> tuple[Array, Array]:
-    """Places (n, 3) spread over the bare surface, beneath the first beads and on the body's picture, and the normals."""
+    """Places (n, 3) spread over the bare surface, beneath the first beads and on the displayed shape; normals."""
     first = [bead.points for bead in toolpath.lowest]
     points = _spread(np.vstack(first), _MOST)
     if toolpath.shape is not None:
@@ -194,7 +194,7 @@ def surface_places(toolpath: Toolpath, surface: Distance) -> tuple[Array, Array]
 
 
 def _around(normals: Array) -> list[Array]:
-    """Unit vectors to four sides, each (n, 3), at right angles to normals (n, 3)."""
+    """Unit vectors to four sides, each (n, 3), perpendicular to normals (n, 3)."""
     across = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-12)[:, None]
     other = np.cross(normals, across)
@@ -202,9 +202,9 @@ def _around(normals: Array) -> list[Array]:
 
 
 def reachable(cell: Cell, placement: Placement, points: Array, normals: Array) -> TouchPlaces:
-    """Which places (n, 3) the arm can touch along their normals, at which angles of the holder; one row for each.
+    """The places (n, 3) that the arm can touch along their normals, one row for each angle of the holder.
 
-    Joint limits are looked at; whether arm and head are clear there is for `Clearance` to say.
+    Joint limits are checked here; whether arm and head are clear is up to `Clearance`.
     """
     if not len(points):
         return TouchPlaces(points, normals, np.empty((0, len(cell.holder))), np.empty((0, 4, 4)))
@@ -222,8 +222,8 @@ def reachable(cell: Cell, placement: Placement, points: Array, normals: Array) -
 
 
 def most_telling(places: TouchPlaces, unknowns: Unknowns, placement: Placement, count: int) -> list[int]:
-    """Which places (count of them, or as many as are APART) fix the unknowns best: the determinant of what they tell, by
-    exchange (Fedorov)."""
+    """The places (count of them, or as many as are APART) that fix the unknowns best: greatest determinant of the
+    information matrix, by exchange (Fedorov)."""
     J = places.columns(unknowns, placement)
     rough = _ROUGH * np.eye(J.shape[1])
     chosen: list[int] = []
@@ -248,10 +248,10 @@ def most_telling(places: TouchPlaces, unknowns: Unknowns, placement: Placement, 
 def next_place(
     places: TouchPlaces, touched: Array, unknowns: Unknowns, placement: Placement, told: Array, heights: Array
 ) -> tuple[int, float]:
-    """The place whose touch lowers the worst uncertainty of the nozzle's height most, and to what share of it.
+    """The place whose touch lowers the worst uncertainty of the nozzle's height most, and the share that remains.
 
-    touched (m, 3)  places of earlier contacts; told (m, p) what they see; heights (w, p) how the nozzle's height at
-    waypoints changes with the unknowns.
+    touched (m, 3): places of earlier contacts; told (m, p): their derivatives by the unknowns; heights (w, p): those of
+    the nozzle's height at waypoints.
     """
     J = places.columns(unknowns, placement)
     heights = heights[:: max(1, len(heights) // _HEIGHTS)]
@@ -266,7 +266,7 @@ def next_place(
 
 
 def _taken(places: TouchPlaces, others: list[int], table: bool) -> NDArray[np.bool_]:
-    """Which places are too near one of the others; where a table is looked for, at the same angles of the holder."""
+    """Whether places are too near to others; if a table is to be found, only at the same angles of the holder."""
     out = np.zeros(len(places), dtype=bool)
     for k in others:
         near = np.linalg.norm(places.points - places.points[k], axis=1) < APART
@@ -275,7 +275,7 @@ def _taken(places: TouchPlaces, others: list[int], table: bool) -> NDArray[np.bo
 
 
 def _stands(cell: Cell, joints: Sequence[int]) -> list[Array]:
-    """Where chosen joints (k) are when places are looked at: home, and each of them turned, or slid, in steps."""
+    """Positions of chosen joints (k) that are tried: home, and each of them turned, or slid, in steps."""
     home, low, high = (each[list(joints)] for each in (cell.home, cell.limits.q_min, cell.limits.q_max))
     out = [home]
     turns = 2.0 * np.pi * np.arange(1, _ANGLES) / _ANGLES
@@ -291,7 +291,7 @@ def _stands(cell: Cell, joints: Sequence[int]) -> list[Array]:
 
 
 def _spread(points: Array, most: int) -> Array:
-    """At most so many of points (n, 3), each the one farthest from those before."""
+    """At most `most` of the points (n, 3), each the one farthest from those before."""
     if len(points) <= most:
         return points
     points = points[:: max(1, len(points) // (20 * most))]

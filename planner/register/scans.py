@@ -1,7 +1,7 @@
-"""Where the part is from a scan: thousands of points on the bare part and around it, moved onto its surface.
+"""Where the part is, from a scan: thousands of points on the bare part and around it, fitted to its surface.
 
-Weights fall to 0 with the residual (Tukey), within a reach that shrinks: so the bed, fixtures and stray points do not count.
-What becomes of the points that lie on the part is a fit as that of contacts, and is told and judged like it.
+Weights fall to 0 with the residual (Tukey), within a shrinking reach, so that the bed, fixtures and stray points do not
+count. The points on the part give the same kind of fit as contacts, which is judged and reported in the same way.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from planner.register.finding import Ask, Registration, Scene, judged, unknowns_
 from planner.register.fitting import Fit, Placement, Touch, least_moved, split
 
 SCANS = (".ply", ".xyz", ".asc", ".pts", ".npy", ".npz")
-MOST = 6_000  # points: more tell nothing new
-FEWEST = 200  # that must be near the part
-_REACH = (30e-3, 12e-3, 6e-3, 3e-3, 2e-3)  # m, within which points count, in turn
-_ROUNDS = 12  # for each reach
-_STILL = 1e-7  # m: a step as small as this is the last one
+MOST = 6_000  # about the number of points used: more add no information
+FEWEST = 200  # points that must be near the part
+_REACH = (30e-3, 12e-3, 6e-3, 3e-3, 2e-3)  # m: points within this distance count, one after the other
+_ROUNDS = 12  # most steps for each reach
+_STILL = 1e-7  # m: a smaller step is the last one
 _FARTHEST_STEP = 10e-3  # m
-_TUKEY = 4.685  # robust deviations, from which on a residual has no weight
-_KEPT = 3.5  # of these: what is farther off is an outlier
-_LEAST = 0.01e-3  # m of robust deviation: no scanner is exacter
-_ROUGHEST = 0.5e-3  # m of robust deviation: a scan that agrees no better is of another part
-_BESIDE = 5e-3  # m from a place of the print to the nearest point, or so many spacings of the scan:
-_SPACINGS = 3.0  # farther, there is a hole
-_COVERED = 0.6  # of the places under the print
+_TUKEY = 4.685  # robust deviations: a larger residual has no weight
+_KEPT = 3.5  # robust deviations: points farther off are outliers
+_LEAST = 0.01e-3  # m: least robust deviation, as no scanner is more accurate
+_ROUGHEST = 0.5e-3  # m: a scan with a larger robust deviation is of another part
+_BESIDE = 5e-3  # m from a place of the print to the nearest point: farther, there is a hole;
+_SPACINGS = 3.0  # or so many spacings of the scan, if that is more
+_COVERED = 0.6  # × the places under the print: least share to be covered
 
 
 def is_scan(file: Path) -> bool:
-    """Whether a file's ending is that of a cloud; .csv and others are of contacts."""
+    """Whether a file's suffix is that of a point cloud; .csv and others are contacts."""
     return file.suffix.lower() in SCANS
 
 
 def register_scan(scene: Scene, file: Path, ask: Ask, unit: str | None = None) -> Registration:
-    """Find the part from a cloud in the world, scanned with what holds the part at home.
+    """Find the part from a cloud in the world, scanned with the part's holder at home.
 
     Raises InputError for a cloud that cannot be read, that is in another unit, far from the part, full of holes under the
-    print, or of another part, and for one that leaves free what the nozzle's height depends on.
+    print, or of another part, and for one that leaves a freedom undetermined that changes the nozzle's height.
     """
     complain = partial(InputError, file=file)
     cloud = read_cloud(file, unit)
@@ -72,20 +72,20 @@ def register_scan(scene: Scene, file: Path, ask: Ask, unit: str | None = None) -
 
 
 def _contacts(file: Path, points: Array, T_world_plate: Array) -> Contacts:
-    """Points (n, 3) [m] in the world as places without names that were touched, all with the plate at (1, 4, 4)."""
+    """Points (n, 3) [m] in the world as unnamed contacts, all with the plate at (1, 4, 4)."""
     n = len(points)
     return Contacts((), np.zeros(n, dtype=np.int64), file, points, None, np.repeat(T_world_plate, n, axis=0))
 
 
 def _near(scene: Scene, T_world_plate: Array, cloud: Array, complain: Complaint) -> Array:
-    """Points (n, 3) [m] near the part where the problem has it, thinned. Raises InputError where there are too few."""
+    """Points (n, 3) [m] near the part's place in the problem, thinned. Raises InputError if there are too few."""
 
     def off(points: Array) -> Array:
         seen = scene.start.seen(points, np.repeat(T_world_plate, len(points), axis=0))
         return np.abs(scene.surface.signed_distance(seen))
 
     some = whole = _thinned(cloud)
-    if len(whole) < len(cloud):  # of a wide scan of a small part few of these may be near
+    if len(whole) < len(cloud):  # in a wide scan of a small part, few of these may be near
         about = _about(scene, T_world_plate[0], cloud)
         some = _thinned(about) if len(about) >= FEWEST else whole
     near = off(some) <= _REACH[0]
@@ -94,25 +94,25 @@ def _near(scene: Scene, T_world_plate: Array, cloud: Array, complain: Complaint)
     for size, factor in (("small", 1e3), ("large", 1e-3)):
         if (off(whole * factor) <= _REACH[0]).sum() >= FEWEST:
             raise complain(
-                f"is in another unit: a thousand times too {size}, otherwise it lies on the part",
+                f"is in another unit: a thousand times too {size}, but otherwise on the part",
                 hint="lengths in mm, or --unit m",
             )
     far = off(whole)
     near = far <= _REACH[0]
     raise complain(
         f"is {np.median(far) * 1e3:.0f} mm from where the problem has the part: {near.sum()} of {len(near)} "
-        f"points that were looked at lie within {_REACH[0] * 1e3:g} mm of it, and {FEWEST} are needed",
+        f"points checked lie within {_REACH[0] * 1e3:g} mm of it, and {FEWEST} are needed",
         hint="points in the world, whose origin is the arm's base unless cell.base_mm says otherwise, the part at home",
     )
 
 
 def _thinned(cloud: Array) -> Array:
-    """Points (n, 3), evenly left out where they are many more than are of use."""
+    """Points (n, 3), evenly thinned if there are many more than MOST."""
     return cloud[:: max(1, len(cloud) // MOST)]
 
 
 def _about(scene: Scene, T_world_plate: Array, cloud: Array) -> Array:
-    """Points (n, 3) in the box, along the world's axes, that holds all that may be near part and print."""
+    """Points (n, 3) in the box, along the world's axes, that contains everything near part and print."""
     shape = scene.toolpath.shape
     part = np.vstack([scene.points, scene.waypoints.points, *([] if shape is None else [shape.vertices])])
     T = T_world_plate @ scene.start.T_plate_part
@@ -122,13 +122,13 @@ def _about(scene: Scene, T_world_plate: Array, cloud: Array) -> Array:
 
 
 def _drawn(touch: Touch, placement: Placement, reach: float, complain: Complaint) -> tuple[Placement, float]:
-    """The placement that is best for the points within `reach` [m], and their robust deviation [m]."""
+    """The placement that fits the points within `reach` [m] best, and their robust deviation [m]."""
     spread = 0.0
     for _ in range(_ROUNDS):
         residuals = touch.residuals(placement)
         there = np.abs(residuals) <= reach
         if there.sum() < FEWEST:
-            raise complain(f"has {there.sum()} points within {reach * 1e3:g} mm of the part: not to be fitted")
+            raise complain(f"has {there.sum()} points within {reach * 1e3:g} mm of the part: too few to fit")
         some = replace(
             touch, contacts=_contacts(touch.contacts.file, touch.contacts.tips[there], touch.contacts.T_world_plate[:1])
         )
@@ -148,7 +148,7 @@ def _drawn(touch: Touch, placement: Placement, reach: float, complain: Complaint
 
 
 def _check_covered(scene: Scene, found: Fit, complain: Complaint) -> None:
-    """Raise InputError where the scan has holes under too much of the print."""
+    """Raise InputError if the scan has holes under too much of the print."""
     contacts = found.touch.contacts
     points = found.placement.seen(contacts.tips, contacts.T_world_plate)[found.kept]
     tree = cKDTree(points)
@@ -163,5 +163,5 @@ def _check_covered(scene: Scene, found: Fit, complain: Complaint) -> None:
         raise complain(
             f"covers {share:.0%} of what lies under the print: nothing within {far.max() * 1e3:.1f} mm of x {x:.1f}, "
             f"y {y:.1f}, z {z:.1f} mm of the part",
-            hint=f"{_COVERED:.0%} at least; scan it from more sides",
+            hint=f"cover at least {_COVERED:.0%}: scan it from more sides",
         )

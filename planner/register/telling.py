@@ -1,4 +1,4 @@
-"""What was found, in words, as a figure, and as fields of a problem file."""
+"""The result in words, as a figure, and as fields of a problem file."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from planner.register.fitting import Fit, Placement
 from planner.register.places import TouchPlaces
 
 # ----------------------------------------------------------------------------------------------------
-# The fields of a problem file that say where its part and its table are.
+# The fields of a problem file that place its part and its table.
 
-_MM, _DEG = 4, 5  # decimals: a tenth of a micrometre, and as much at a metre
+_MM, _DEG = 4, 5  # decimals: 0.1 um, and about as much at a distance of 1 m
 _TURNED = 1e-8  # rad: less is rounding
 
 
 def changes_of(problem: Problem, placement: Placement, start: Placement, free: Sequence[str]) -> dict[str, Value]:
-    """The fields of a problem file that say where the part is, dotted, with their new values in mm and degrees."""
+    """The fields of a problem file that place the part, dotted, with their new values in mm and degrees."""
     cell, out = problem.cell, dict[str, Value]()
     T = placement.T_plate_part
     moved = np.linalg.inv(start.T_plate_part) @ T
@@ -54,8 +54,8 @@ def changes_of(problem: Problem, placement: Placement, start: Placement, free: S
 
 
 def rpy_degrees(R: Array) -> list[float]:
-    """The turns about x, then y, then z of the parent's frame that make a rotation (3, 3) [deg]."""
-    with warnings_are("ignore", UserWarning):  # where y is turned by 90 degrees x and z are one, and x is chosen
+    """The turns [deg] about x, then y, then z of the parent's frame that make up a rotation (3, 3)."""
+    with warnings_are("ignore", UserWarning):  # gimbal lock at 90 degrees about y: only x is used
         angles = Rotation.from_matrix(R).as_euler("xyz", degrees=True)
     return [float(a) + 0.0 for a in np.round(angles, _DEG)]
 
@@ -65,7 +65,7 @@ def _mm(p: Array) -> list[float]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A figure of residuals, and of how sure the nozzle's height is over the beads.
+# A figure of the residuals, and of the uncertainty of the nozzle's height over the beads.
 
 KINDS = (".png", ".html")
 _BINS = 60
@@ -78,7 +78,7 @@ pre{{white-space:pre-wrap;background:#f5f5f3;padding:1em}}svg{{max-width:100%;he
 
 
 def write_picture(found: Registration, tolerance: float, verdict: str, lines: list[str], target: Path) -> None:
-    """Write the figure as PNG, or as an HTML page of its own with all that is said. Raises OutputError."""
+    """Write the figure as PNG, or as a self-contained HTML page with all of the text. Raises OutputError."""
     figure = _figure(found, tolerance)
     try:
         if target.suffix == ".png":
@@ -103,9 +103,9 @@ def _figure(found: Registration, tolerance: float) -> Figure:
     residuals = fit.residuals * 1e3
     figure = Figure(figsize=(11.0, 4.6), dpi=120, facecolor="white", layout="constrained")
     bars, space = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2, projection="3d")
-    # outliers reach out of the picture, else nothing could be seen of the others
+    # outliers extend beyond the picture, otherwise nothing could be seen of the others
     reach = max(3.0 * float(np.abs(residuals[fit.kept]).max()), tolerance * 1.2e3)
-    each = bool(fit.touch.contacts.names)  # else there are thousands
+    each = bool(fit.touch.contacts.names)  # otherwise there are thousands
     (_draw_each if each else _draw_many)(bars, fit, reach, tolerance)
     bars.spines[["top", "right"]].set_visible(False)
 
@@ -141,7 +141,7 @@ def _draw_each(axes: Axes, fit: Fit, reach: float, tolerance: float) -> None:
 
 
 def _draw_many(axes: Axes, fit: Fit, reach: float, tolerance: float) -> None:
-    """How many points of a scan are how far off, up to `reach` [mm]."""
+    """A histogram of the residuals of a scan's points, up to `reach` [mm]."""
     shown = np.clip(fit.residuals * 1e3, -reach, reach)
     axes.hist([shown[fit.kept], shown[~fit.kept]], bins=_BINS, stacked=True, color=[_GOOD, _BAD])
     for side in (-tolerance, tolerance):
@@ -152,18 +152,18 @@ def _draw_many(axes: Axes, fit: Fit, reach: float, tolerance: float) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------
-# What was found, in words: contacts and their residuals, the placement, how sure it is, where to touch next.
+# The result in words: contacts and their residuals, the placement, its uncertainty, and where to touch next.
 
 
 def verdict(found: Registration, tolerance: float) -> tuple[bool, str]:
-    """Whether the nozzle's height keeps within a tolerance [m] over all beads with 95 % confidence, and the sentence."""
+    """Whether the nozzle's height stays within a tolerance [m] over all beads with 95 % confidence, also in words."""
     sure, k = found.uncertainty, found.uncertainty.worst
     error, bound = float(sure.height[k]) * 1e3, float(sure.bound[k]) * 1e3
     at = f"{_where(found.scene, k)}"
     if math.isnan(bound):
         many = len(found.fit.residuals) + 1
         return False, (
-            "the nozzle's height is not known to stay within the tolerance: no contact is to spare, so nothing tells "
+            "the nozzle's height is not known to stay within the tolerance: there is no contact to spare, so nothing shows "
             f"how exact they are; touch {many} places or more, or give --noise-mm"
         )
     text = f"standard error at most {error:.3f} mm ({at}); within {bound:.3f} mm everywhere with 95 % confidence"
@@ -177,7 +177,7 @@ def lines_of(
     changes: Mapping[str, Value],
     further: tuple[TouchPlaces, int, float] | None = None,
 ) -> list[str]:
-    """Everything but the verdict; `further` is the place to touch next, as `suggest_next` has it."""
+    """Everything but the verdict; `further` is the place to touch next, as returned by `suggest_next`."""
     fit, sure = found.fit, found.uncertainty
     outliers = int((~fit.kept).sum())
     scan = not fit.touch.contacts.names
@@ -209,7 +209,7 @@ def lines_of(
 
 
 def published_lines(found: Published, changes: Mapping[str, Value]) -> list[str]:
-    """What eq. (1) of Pollard et al. says, contact by contact, and what is written."""
+    """The result of eq. (1) of Pollard et al., contact by contact, and the fields written."""
     table, settled = found.table, found.settled
     off = np.linalg.norm(table.off, axis=1) * 1e3
     mark = np.where(found.right, "", "  outlier").tolist()
@@ -220,12 +220,12 @@ def published_lines(found: Published, changes: Mapping[str, Value]) -> list[str]
         f"Pollard's eq. (1), sum of absolute differences: {table.cost * 1e3:.3f} mm off on average",
         f"least squares over the contacts that it fits: table and cylinder {moved} mm from there",
         *(f"found {field}: {value}" for field, value in changes.items()),
-        "how sure the nozzle's height is, this does not tell; leave out --published for contacts from all sides",
+        "this does not show how sure the nozzle's height is; leave out --published for contacts from all sides",
     ]
 
 
 def turntable_lines(found: Registration) -> list[str]:
-    """The table and the cylinder as published, beside what least squares over the wall say."""
+    """The table and the cylinder as published, next to the result of least squares over the wall."""
     table, fit = found.turntable, found.fit
     if table is None:
         return []
@@ -233,7 +233,7 @@ def turntable_lines(found: Registration) -> list[str]:
     side = "" if contacts.axes is not None else " plus the radius towards the nozzle (its direction is not in the file)"
     published = "Pollard's eq. (1), sum of absolute differences"
     if table.cost > MISFIT:
-        why = "it takes a nozzle that always comes from one side, or its direction in the file (ax, ay, az)"
+        why = "it needs a nozzle that always comes from one side, or its direction in the file (ax, ay, az)"
         return [f"{published}: does not fit, {table.cost * 1e3:.1f} mm off on average; {why}"]
     spec = found.scene.problem.part
     centre = np.zeros(2) if spec is None or spec.cylinder is None else np.asarray(spec.cylinder.centre)
@@ -252,7 +252,7 @@ def turntable_lines(found: Registration) -> list[str]:
 
 
 def place_words(scene: Scene, places: TouchPlaces, k: int, placement: Placement) -> str:
-    """A place to touch, in the part frame and in the world, and where the holder's axes are."""
+    """A place to touch, in the part frame and in the world, and the positions of the holder's axes."""
     p = places.points[k]
     T = places.T_world_plate[k] @ placement.T_plate_part
     world, axis = T[:3, :3] @ p + T[:3, 3] + placement.shift, -T[:3, :3] @ places.normals[k]
@@ -274,7 +274,7 @@ def _contact(found: Registration, i: int) -> str:
 
 
 def _moved(found: Registration) -> str:
-    """How far the part is from where the problem has it."""
+    """How far the part is from its place in the problem."""
     middle = found.scene.waypoints.points.mean(axis=0)
     start, now = found.scene.start.T_plate_part, found.fit.placement.T_plate_part
     way = (now - start)[:3, :3] @ middle + (now - start)[:3, 3]

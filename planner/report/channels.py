@@ -1,6 +1,6 @@
-"""What beads can be coloured by: values along them, and classes of values that are each a colour.
+"""What beads can be coloured by: values along them, and classes of values, each with its colour.
 
-Classes are few and told by their ends: where nearly all of a print has one value, a smooth scale would show nothing.
+Classes are few and labelled by their ends: if nearly all of a print has one value, a smooth scale would show nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from planner.report.page import coarse
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-# What series of the verifier say, and in which unit; where these are small it gets tight.
+# The verifier's series with their labels, units and decimals; small values are tight.
 TIGHT = (
     ("sigma", "Singularity margin, σ", "", 3),
     ("wrist_deg", "Wrist margin, joint 5 from straight", "°", 1),
@@ -27,18 +27,18 @@ TIGHT = (
     ("clearance_mm", "Least distance of two bodies beyond the tip", "mm", 1),
 )
 RATIOS = ("velocity_ratio", "acceleration_ratio", "jerk_ratio")
-SPEEDS = (0.5, 0.75, 0.9, 0.98)  # of the commanded one: where classes of speed end
-SHARES = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all that is laid, from the tight end on: where classes of other values end
+SPEEDS = (0.5, 0.75, 0.9, 0.98)  # shares of the commanded speed at which classes of speed end
+SHARES = (0.05, 0.2, 0.4, 0.6, 0.8)  # shares of the deposited samples, from the tight end, at which other classes end
 WORDS = "red: the tightest 5 % of what is laid"
 FEW_LAYERS = 6
-MOST_ALIKE = 0.5  # of all that is laid in one class: what is coloured by first shows more differences
+MOST_ALIKE = 0.5  # share of the deposited samples in one class: the initial colouring shows more differences than that
 
 
 def channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
-    """What beads can be coloured by at samples `kept`: that first which they are coloured by first.
+    """What beads can be coloured by at samples `kept`; `first` marks the initial colouring.
 
-    Each has `key`, `label`, `unit`, `digits`, `values`; `min` and `max` of these; `edges` (k + 1) of its classes; and `bad`,
-    at which of its ends it gets tight.
+    Each has `key`, `label`, `unit`, `digits`, `values`; `min` and `max` of these; `edges` (k + 1) of its classes; and
+    `bad`, the end at which values are tight.
     """
     if not len(kept):
         return []
@@ -73,7 +73,7 @@ def channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
 
 
 def _speed(plan: Plan, kept: NDArray[np.intp]) -> dict[str, Any]:
-    """The tip's speed; where beads are to be laid at several, its share of each one's."""
+    """The tip's speed; if beads have different commanded speeds, its share of each bead's own."""
     commanded = plan.commanded[plan.trajectory.bead[kept]] * 1e3
     speed = plan.trajectory.speed[kept] * 1e3
     label, unit, whole = "Tip speed", "mm/s", float(commanded[0])
@@ -84,7 +84,7 @@ def _speed(plan: Plan, kept: NDArray[np.intp]) -> dict[str, Any]:
 
 
 def _ages(plan: Plan, kept: NDArray[np.intp]) -> dict[str, Any] | None:
-    """How old what is below is; classes end at the window that is asked for, too. None where nothing lies on anything."""
+    """Age of the material below; classes also end at the required window. None if nothing lies on anything."""
     values = plan.series[AGES][kept] if AGES in plan.series else np.empty(0)
     finite = values[np.isfinite(values)]
     if not len(finite):
@@ -93,11 +93,11 @@ def _ages(plan: Plan, kept: NDArray[np.intp]) -> dict[str, Any] | None:
     if spec is not None:
         even = np.round(np.quantile(finite, [k / 4 for k in range(1, 4)]), 1).tolist()
         inner = [*even, *(edge for edge in (spec.least, spec.most) if edge is not None)]
-    return _channel(AGES, "Age of what is below, interlayer time", "s", values, "none", inner=inner)
+    return _channel(AGES, "Age of the material below, interlayer time", "s", values, "none", inner=inner)
 
 
 def edges_of(values: Array, inner: Sequence[float] | None, bad: str, digits: int) -> Array:
-    """Ends of classes of values (n), ascending: at `inner`, or so that the tightest values are a class of their own."""
+    """Ends of classes of values (n), ascending: at `inner`, or such that the tightest values are a separate class."""
     finite = values[np.isfinite(values)]
     if inner is None:
         shares = [1.0 - share for share in SHARES] if bad == "high" else list(SHARES)
@@ -110,7 +110,7 @@ def edges_of(values: Array, inner: Sequence[float] | None, bad: str, digits: int
 
 
 def _most_alike(channel: dict[str, Any]) -> float:
-    """The share of what is laid that the largest class holds."""
+    """The share of the deposited samples in the largest class."""
     return float(max(channel["shares"]))
 
 

@@ -1,4 +1,4 @@
-"""Curves over time, as plain plotly dictionaries: each thinned on its own, extremes kept."""
+"""Curves over time, as plain plotly dictionaries: each thinned separately, extremes kept."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from planner.report.thinning import CURVE_BUDGET, keep_minima, stretches, thin_c
 if TYPE_CHECKING:
     from planner.plan import Plan
 
-# Okabe and Ito's colours: told apart by any eye; dashes tell them apart in print.
+# Okabe and Ito's colours, which any eye can distinguish; dashes distinguish them in print.
 BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#007d5c", "#9aa7b4"
 LIMIT = "#1b2733"
 MAX_LAYER_LINES = 60
@@ -93,7 +93,7 @@ def time_charts(plan: Plan) -> list[dict[str, Any]]:
 
 
 def joint_charts(plan: Plan) -> list[dict[str, Any]]:
-    """A small chart per joint, degrees or mm over time, on the whole range between its end stops."""
+    """A small chart per joint, degrees or mm over time, over the whole range between its end stops."""
     charts = []
     limits = plan.cell.limits
     scale, units = shown_units(plan.cell)
@@ -160,10 +160,10 @@ def _ages(plan: Plan) -> dict[str, Any]:
     }  # from the print's beginning
     return _chart(
         "interlayer",
-        "Age of what is below",
+        "Age of the material below",
         "s",
         [trace],
-        note="How long ago what the nozzle lays on was laid. Gaps are travel, first layers and bridges.",
+        note="How long ago the material under the nozzle was laid. Gaps are travel, first layers and bridges.",
         lines=[(value, f"{words} {value:g} s") for value, words in asked if value is not None],
         from_zero=True,
     )
@@ -211,7 +211,7 @@ def _chart(
     from_zero: bool = False,
     height: int = CHART_HEIGHT,
 ) -> dict[str, Any]:
-    """A chart: `lines` are horizontal limits with their words, `from_zero` keeps 0 in view."""
+    """A chart: `lines` are horizontal limits with their labels, `from_zero` keeps 0 in view."""
     shapes = [
         {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "layer": "above"}
         | {"line": {"color": LIMIT, "width": 1.2, "dash": "dash"}}
@@ -246,7 +246,7 @@ def _chart(
 
 
 def _layer_lines(plan: Plan) -> list[dict[str, Any]]:
-    """Fine upright lines where a new layer begins, unless there are too many to read."""
+    """Fine vertical lines where a new layer begins, unless there are too many to read."""
     traj = plan.trajectory
     layer = traj.layer[traj.deposit]
     t = traj.t[traj.deposit]

@@ -1,4 +1,4 @@
-"""Show a print that ships planned: its report in the browser, and how to plan one's own.
+"""Show a print that ships already planned: its report in the browser, and how to plan one's own.
 
 python -m planner.report.demo
 """
@@ -22,9 +22,9 @@ SHIPPED = Path(__file__).with_name("demo.html.gz")
 PROBLEM = "hemisphere_honeycomb"
 RESULTS_BY = "demo"
 NEXT = (
-    (f"beadwise solve {PROBLEM}", "the same print, planned here; the first time compiles for some minutes"),
+    (f"beadwise solve {PROBLEM}", "plans the same print here; the first run compiles for some minutes"),
     ("beadwise new", "asks for your robot, part and process, and writes a problem file"),
-    ("beadwise solve --list", "the examples that ship, to copy from"),
+    ("beadwise solve --list", "lists the examples that ship, to copy from"),
 )
 
 
@@ -66,7 +66,7 @@ def shipped_report() -> bytes:
 
 
 def _opened(address: str) -> bool:
-    """Whether a browser took it."""
+    """Whether a browser opened it."""
     try:
         return webbrowser.open(address)
     except webbrowser.Error:

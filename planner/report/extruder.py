@@ -1,4 +1,4 @@
-"""What the extruder does, for the report: its events in words and as a table, and flow beside what the motor pushes."""
+"""What the extruder does, for the report: its events in words and as a table, and flow against the motor's push."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ WORDS = {
     "retract": "retract, after a bead",
     "cut": "cut the fibre, at rest on the bead",
     "pause": "pause before a layer, at home",
-    "cool": "wait until what is below is cool, at home or lifted",
+    "cool": "wait until the material below is cool, at home or lifted",
 }
 
-QUICK = 5.0  # times what is laid at most: with lags up to 0.1 s it is three or four times, which motors can
+QUICK = 5.0  # × the greatest flow laid: lags up to 0.1 s need three or four times as much, which motors can deliver
 
 
 @dataclass(frozen=True)
 class Kind:
-    """All events of one kind: how many, how long in all [s], filament in all [m], when the first begins [s]."""
+    """All events of one kind: their count, total time [s], total filament [m], and when the first begins [s]."""
 
     kind: str
     count: int
@@ -63,7 +63,7 @@ def kinds_of(events: Sequence[Event]) -> list[Kind]:
 
 
 def materials_words(plan: Plan) -> list[str]:
-    """A line for each material that has a name: its tool, its beads, and what it takes."""
+    """A line for each named material: its tool, its beads, and how much of it is used."""
     return [
         f"material {each.material.name}: tool T{each.material.tool}, {counted(each.beads, 'bead')}, "
         f"{significant(each.volume * 1e9)} mm³ laid down, {significant(each.filament * 1e3)} mm of filament"
@@ -72,39 +72,37 @@ def materials_words(plan: Plan) -> list[str]:
 
 
 def materials_section(plan: Plan) -> Markup:
-    """HTML of what each material takes; empty where materials have no names."""
+    """HTML of how much of each material is used; empty if materials have no names."""
     found = used(plan)
     return render("materials", used=found) if found else Markup("")
 
 
 def events_words(events: Sequence[Event]) -> str:
-    """One line: how often each kind occurs, how long it takes and what filament it moves, in all; empty without any."""
+    """One line: how often each kind occurs, its total time and the filament it moves; empty without events."""
     each = []
     for kind in kinds_of(events):
         sign = "+" if kind.amount > 0.0 else "-"
         filament = f", {sign}{significant(abs(kind.amount) * 1e3)} mm" if kind.amount else ""
         each.append(f"{kind.count} x {kind.kind} ({significant(kind.time)} s{filament})")
-    return f"extruder besides laying down: {'; '.join(each)}" if each else ""
+    return f"extruder, apart from laying down: {'; '.join(each)}" if each else ""
 
 
 def events_section(plan: Plan) -> Markup:
-    """HTML of what the extruder does besides depositing; empty where it does nothing."""
+    """HTML of what the extruder does besides depositing; empty if it does nothing else."""
     kinds = kinds_of(plan.trajectory.events)
     return render("events", kinds=kinds, words=WORDS) if kinds else Markup("")
 
 
 def flow_note(plan: Plan) -> str:
-    """What the chart of flow shows, by what pushes the material."""
+    """What the chart of flow shows, depending on what pushes the material."""
     process, events = plan.problem.process, plan.trajectory.events
     if process.extruder.motor == "on_off":
         note = (
             "The motor only runs or stops: at the commanded speed's rate as long as a bead is laid. "
-            "Flow stays the same through a dip in speed, and the bead gets more than it holds there"
+            "Flow stays the same through a dip in speed, and the bead gets too much material there"
         )
         over = plan.metrics.get("over_extruded_mm3")
-        follows = (
-            "A motor that follows the speed (process.extruder.motor: e_axis or speed_demand) would not give it that."
-        )
+        follows = "A motor that follows the speed (process.extruder.motor: e_axis or speed_demand) would avoid that."
         return f"{note}: {number(over, 2)} mm³ in all. {follows}" if over is not None else f"{note}."
     if process.section == "fibre":
         note = "Fibre is laid exactly as fast as the nozzle really moves."
@@ -122,13 +120,13 @@ def flow_note(plan: Plan) -> str:
         times = most_pushed(plan)
         if times > QUICK:
             note += (
-                f" Where beads begin and end it pushes up to {significant(times, 2)} times as much as is ever laid: one that "
-                "cannot lays too little where a bead begins, and too much behind its end."
+                f" Where beads begin and end it pushes up to {significant(times, 2)} times the greatest flow laid: a "
+                "motor that cannot do so lays too little where a bead begins, and too much after its end."
             )
     if any(event.amount for event in events):
-        note += " Beside beads the motor also pushes and pulls filament, which is not deposited."
+        note += " Between beads the motor also pushes and pulls filament that is not deposited."
     if any(event.kind == "cut" for event in events):
-        note += " From its cut to the end of the bead fibre is drawn, not pushed."
+        note += " From the cut to the end of the bead, fibre is drawn, not pushed."
     return note
 
 
@@ -139,22 +137,25 @@ def pushes_otherwise(plan: Plan) -> bool:
 
 
 def pushed(plan: Plan) -> Array:
-    """What the motor pushes (n) [m^3/s]: the rate of the feed, as volume."""
+    """What the motor pushes (n) [m^3/s]: the rate of feed, as volume."""
     t = plan.trajectory
     return np.asarray(filament_areas(plan.problem, t.events, t.t) * np.gradient(t.feed, t.dt))
 
 
 def most_pushed(plan: Plan) -> float:
-    """How many times as much as is ever laid the motor pushes at most within beads; 0 where nothing is laid."""
+    """The motor's greatest push within beads, as a multiple of the greatest flow laid; 0 if nothing is laid."""
     t = plan.trajectory
-    within = t.deposit & np.roll(t.deposit, 1) & np.roll(t.deposit, -1)  # beside others a prime or a retract may push
+    within = t.deposit & np.roll(t.deposit, 1) & np.roll(t.deposit, -1)  # next to others a prime or a retract may push
     most = float(even_flow(t).max(initial=0.0))
     return float(pushed(plan)[within].max(initial=0.0)) / most if most > 0.0 else 0.0
 
 
 def even_flow(trajectory: Trajectory) -> Array:
-    """Flow (n) [m^3/s] for the eye: a bead's first and last sample also carry what flows in the part sample beside
-    them, which would look like a peak; here they are no higher than the sample next to them."""
+    """Flow (n) [m^3/s] for display, without false peaks at the ends of beads.
+
+    A bead's first and last samples also carry the flow of the partial sample next to them, which would look like a
+    peak; here they are no higher than their neighbour within the bead.
+    """
     flow = trajectory.flow.copy()
     index, begin, end = stretches(trajectory.deposit, trajectory.bead)
     longer = end > begin
@@ -164,7 +165,7 @@ def even_flow(trajectory: Trajectory) -> Array:
 
 
 def surplus(plan: Plan) -> Array | None:
-    """Share (n) [%] of what flows that is more than the bead holds; None where flow follows the speed."""
+    """Share (n) [%] of the flow that exceeds what the bead holds; None if flow follows the speed."""
     over = plan.series.get("over_extruded_mm3")
     if over is None:
         return None

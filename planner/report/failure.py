@@ -1,4 +1,4 @@
-"""report.html of a refusal: there is no trajectory, so it shows why, where, and what could be changed."""
+"""report.html of a refusal: without a trajectory, it shows why and where planning failed, and what could be changed."""
 
 from __future__ import annotations
 
@@ -18,29 +18,32 @@ if TYPE_CHECKING:
     from planner.plan import CellView
     from planner.toolpath.bead import Bead, Toolpath
 
-# What a user can turn, by field of the problem file, and what it does: true of every refusal.
+# What a user can adjust, by field of the problem file, and its effect: true of every refusal.
 LEVERS = (
-    ("cell.nozzle", "A nozzle that stands at an angle to the flange keeps the wrist away from its singularity."),
+    ("cell.nozzle", "A nozzle at an angle to the flange keeps the wrist away from its singularity."),
     ("cell.home_deg", "Start from a posture on another branch of the arm."),
     (
         "resolve",
-        "Search finer (roll_step_deg, table_step_deg), or accept less distance from singularities (min_sigma).",
+        "Search more finely (roll_step_deg, table_step_deg), or accept less distance from singularities (min_sigma).",
     ),
     ("process.speed_mm_s", "Print slower, if a joint is too slow for the path."),
-    ("process.corner_tolerance_mm", "Round corners more, if they ask too much of a joint."),
+    ("process.corner_tolerance_mm", "Round corners more, if they demand too much of a joint."),
     ("strategy", "as_published and fixed leave the search little freedom; ladder and sqp use all of it."),
 )
 
 
 def _levers(problem: Any) -> Iterator[tuple[str, str]]:
-    """What the user of this problem can turn, and what it does."""
+    """What the user of this problem can adjust, and its effect."""
     positioner = problem.cell.positioner
     place = "cell.bed_mm"
     if positioner is not None:
         place = f"cell.positioner.{'origin_mm' if positioner.base is None else 'base_mm'}"
     yield place, "Move the part: nearer when out of reach, away when the arm folds up."
     if positioner is not None:
-        yield "cell.positioner.free", "Free another axis of the positioner, so that it can bring the place to the arm."
+        yield (
+            "cell.positioner.free",
+            "Free another axis of the positioner, so that it can turn the place towards the arm.",
+        )
     yield from LEVERS
 
 
@@ -62,13 +65,13 @@ def write_failure_report(
     """Write the report of a refused problem.
 
     message   one sentence: the reason
-    toolpath  what was to be printed, if planning came that far; `bead` is the index of the one that failed
+    toolpath  what was to be printed, if planning got that far; `bead` is the index of the bead that failed
     point_mm  the place in the part frame, if known
-    facts     name -> text, shown as they are; "what to change", if there, is shown first of the advice
+    facts     name -> text, shown as they are; "what to change", if given, comes first in the advice
     hints     changes that were tried and would help, shown after it
-    cell, view   the robots and their bodies, to stand in the scene
-    posture   their joints there, arm and holder [rad, m], if the refusal has a posture; else they stand at their start
-    Raises OutputError where `path` cannot be written.
+    cell, view   the robots and their bodies, to be shown in the scene
+    posture   their joints there, arm and holder [rad, m], if the refusal has a posture; else they are at their start
+    Raises OutputError if `path` cannot be written.
     """
     facts = dict(facts)
     advice = facts.pop("what to change", None)
@@ -78,7 +81,7 @@ def write_failure_report(
     if failed is not None:
         line = beads[failed]
         known.append(("bead", f"{failed} of {len(beads)} ({line.name}), layer {line.layer + 1}"))
-    if point_mm is not None and toolpath is None:  # else it stands among the places
+    if point_mm is not None and toolpath is None:  # else it is among the places
         x, y, z = point_mm
         known.append(("place in the part frame", f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm"))
     scene, marks = None, []
@@ -108,7 +111,7 @@ def write_failure_report(
 def _places(
     beads: Sequence[Bead], failed: int | None, point_mm: Sequence[float] | None, advice: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """The place of the refusal for the page: the point that is told, or where the bead that fails begins; or none."""
+    """The place of the refusal for the page: the given point, or the start of the bead that fails; or none."""
     if failed is None and point_mm is None:
         return []
     near = [beads[failed]] if failed is not None else list(beads)

@@ -1,4 +1,4 @@
-"""report.html of a plan: verdict, scene, the list of what is judged, curves over time, and how it came about."""
+"""report.html of a plan: verdict, scene, the list of what is judged, curves over time, and how it was made."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ USUAL_PACE = 5
 
 
 def stage(*, name: str, moves: bool, layers: int, dips: bool, marks: bool) -> dict[str, Any]:
-    """What stage.html shows: the scene with its controls; with its player and its colours where it moves."""
+    """What stage.html shows: the scene with its controls; also its player and colours if it moves."""
     shown = {"name": name, "moves": moves, "layers": layers, "dips": dips, "marks": marks}
     return shown | {"paces": PACES, "usual_pace": USUAL_PACE}
 
@@ -47,7 +47,7 @@ DEFAULT_DT = 0.004
 MOST_LAYERS = 200  # in the table
 
 
-FORECAST = Markup("<!-- forecast -->")  # the place of what is known only when all programs are written
+FORECAST = Markup("<!-- forecast -->")  # placeholder for what is known only once all programs are written
 
 
 def _no_forecast() -> tuple[str, ...]:
@@ -57,10 +57,10 @@ def _no_forecast() -> tuple[str, ...]:
 def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] = _no_forecast) -> None:
     """Write one self-contained report.html, at most 8 MB however long the plan.
 
-    forecast: what controllers will make of the plan's programs, in sentences; asked for when all else is drawn.
+    forecast: what controllers will make of the plan's programs, in sentences; called when everything else is drawn.
 
-    `plan.settings["overrides"]`, if there, holds the `dotted.key=value` arguments of the command line.
-    Raises OutputError where `path` cannot be written.
+    `plan.settings["overrides"]`, if present, holds the `dotted.key=value` arguments of the command line.
+    Raises OutputError if `path` cannot be written.
     """
     listed = judged(plan)
     places = listed.places
@@ -112,7 +112,7 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
 
 
 def _layers_section(plan: Plan) -> Markup:
-    """HTML of the layers in time; empty where there is one."""
+    """HTML of the layers in time; empty if there is only one."""
     layers = layer_times(plan)
     if len(layers) < 2:
         return Markup("")
@@ -123,9 +123,9 @@ def _layers_section(plan: Plan) -> Markup:
 
 
 def _layers_told(plan: Plan) -> str:
-    """Between what ages layers are laid on each other."""
+    """The range of ages at which layers are laid on each other, in words."""
     if AGES not in plan.series:
-        return "no layer is laid on another"
+        return "no layer lies on another"
     ages = plan.series[AGES]
     return f"laid on what is {number(np.nanmin(ages), 1)} to {number(np.nanmax(ages), 1)} s old"
 
@@ -138,7 +138,7 @@ def _rest_told(listed: JudgedList) -> str:
 
 
 def _dips_told(plan: Plan) -> str:
-    """How many dips there are, and what they cost."""
+    """The number of dips and their cost, in words."""
     dips = without_stops(plan.dips)
     return f"{counted(len(dips), 'dip')}, {number(sum(dip.lost for dip in dips), 2)} s lost" if dips else "none"
 
@@ -159,7 +159,7 @@ def _header(plan: Plan) -> Markup:
 
 
 def _joint_rows(plan: Plan) -> list[dict[str, str]]:
-    """What each joint uses of its range."""
+    """How much of its range each joint uses."""
     scale, units = shown_units(plan.cell)
     q, low, high = (scale * values for values in (plan.trajectory.q, plan.cell.limits.q_min, plan.cell.limits.q_max))
     after = [" mm" if unit == "mm" else "°" for unit in units]
@@ -176,7 +176,7 @@ def _joint_rows(plan: Plan) -> list[dict[str, str]]:
 
 
 def _making(plan: Plan) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Captions and pairs of the tables that say how a plan was made."""
+    """Captions and rows of the tables that say how a plan was made."""
     robots = [robot for robot in (plan.cell.arm_robot, plan.cell.holder_robot) if robot is not None]
     return [
         ("Settings", page.flat({k: v for k, v in plan.settings.items() if k != "overrides"})),
@@ -204,4 +204,4 @@ def _command(plan: Plan) -> str:
 
 def _range(low: float, high: float, unit: str) -> str:
     endless = not (np.isfinite(low) or np.isfinite(high))
-    return "no end" if endless else f"{number(low, 0)} to {number(high, 0)}{unit}"
+    return "unlimited" if endless else f"{number(low, 0)} to {number(high, 0)}{unit}"

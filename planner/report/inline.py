@@ -1,4 +1,4 @@
-"""The scene of a plan inside another page: in a notebook, below the cell that asks for it."""
+"""The scene of a plan inside another page: in a notebook, below the cell that shows it."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ HEIGHTS = (200, 4000)  # px
 
 @dataclass(frozen=True, repr=False)
 class InlineScene:
-    """A page with the scene of a plan, played; notebooks draw it where it is the last value of a cell.
+    """A page with the animated scene of a plan; notebooks draw it if it is the last value of a cell.
 
-    html    the whole page, which needs no network
-    height  of the frame that it stands in [px]
+    Attributes:
+        html: The whole page, which needs no network.
+        height: Height of the frame around it [px].
+        told: The plan in one line, as the frame's title.
     """
 
     html: str
@@ -30,7 +32,17 @@ class InlineScene:
     told: str
 
     def save(self, path: str | Path) -> Path:
-        """Write the page into a file of its own. Raises OutputError where it cannot be written."""
+        """Write the page into a separate file.
+
+        Args:
+            path: The file to write.
+
+        Returns:
+            Path of the file.
+
+        Raises:
+            OutputError: If it cannot be written.
+        """
         target = as_path(path, "path")
         page.write_text(target, self.html)
         return target
@@ -44,10 +56,20 @@ class InlineScene:
 
 
 def show(plan: Plan, height: int = 640) -> InlineScene:
-    """The scene of a plan for a notebook, in a frame so high [px]. Raises InputError for a height that is none."""
+    """The scene of a plan for a notebook.
+
+    Args:
+        plan: The plan, as `solve` returns it.
+        height: Height of the frame around it [px], 200 to 4000.
+
+    Raises:
+        InputError: If the height is invalid.
+    """
     as_one_of(plan, Plan, "plan", "what solve gives")
     if type(height) is not int or not HEIGHTS[0] <= height <= HEIGHTS[1]:
-        raise InputError(f"{height!r} is no height", field="height", hint=f"{HEIGHTS[0]} to {HEIGHTS[1]} pixels")
+        raise InputError(
+            f"{height!r} is not a valid height", field="height", hint=f"{HEIGHTS[0]} to {HEIGHTS[1]} pixels"
+        )
     places = judged(plan).places
     text = page.page(
         "inline",

@@ -1,4 +1,4 @@
-"""Joints as reports show them: degrees, or millimetres of those that slide."""
+"""Joints as reports show them: in degrees, or in millimetres if they slide."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def shown_units(cell: Cell) -> tuple[Array, tuple[str, ...]]:
-    """Factors (nj) from rad and m to what is shown, and its units: deg or mm."""
+    """Factors (nj) from rad and m to the displayed units, and these units: deg or mm."""
     sliding = cell.limits.sliding
     units = tuple("mm" if j in sliding else "deg" for j in range(len(cell.joint_names)))
     return np.array([1e3 if unit == "mm" else np.degrees(1.0) for unit in units]), units

@@ -1,7 +1,7 @@
-"""The one list of the report: each row is one thing that is judged, with its value, its limit and where it is tightest.
+"""The single list of the report: each row is one thing that is judged, with its value, limit and tightest place.
 
-A figure has one name, whether a check, a metric or a place tells it: where a metric's label is the name of a check and both
-tell the same value, they are one row.
+A figure has one name, whether it comes from a check, a metric or a place: if a metric's label is the name of a check
+and both have the same value, they share a row.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from planner.report.wording import (
 if TYPE_CHECKING:
     from planner.plan import Approach, Check, Plan
 
-# What stands at the top: one row for each, of several names the one that uses most of its limit.
+# The rows at the top, one for each entry: of several names, the one that uses most of its limit.
 HEADLINES = (
     ("length at commanded speed (±2 %)",),
     ("slowest in deposition",),
@@ -54,7 +54,7 @@ HEADLINES = (
     ("joint range",),
     ("nozzle clear of part and print", "arm clear of part and print", "robots clear of each other and of fixtures"),
 )
-# Checks whose share of the limit says how much room there is; others keep to a value that is asked for.
+# Checks whose share of the limit says how much margin is left; others keep to a required value.
 MARGINS = frozenset(
     {
         *(name for names in HEADLINES for name in names),
@@ -73,16 +73,16 @@ MARGINS = frozenset(
         "drawn path left out",
     }
 )
-DEAREST = 3  # dips in the list; all of them stand in their table
+DEAREST = 3  # dips in the list; their table has all of them
 TIGHTEST = 4  # margins that are not folded, at most
-TIGHT = 0.5  # of the limit: with less used, nothing is tight
-SAME = 1e-3  # of a value: a check and a metric that tell the same
+TIGHT = 0.5  # share of the limit: if less is used, nothing is tight
+SAME = 1e-3  # relative difference within which a check and a metric have the same value
 NOTHING = 1e-9  # of any unit
-SAME_DISTANCE = 1e-3  # mm: a check and a pair of bodies that tell the same
+SAME_DISTANCE = 1e-3  # mm: difference within which a check and a pair of bodies have the same distance
 UNITS = {"deg": "°"}  # of checks, as they are shown
-# These stand beside the value, others beside the name.
+# These are shown next to the value, others next to the name.
 SHORT_UNITS = frozenset({"%", "°", "mm", "mm/s", "s", "s lost", "m", "mm³", "cm³", "×"})
-SPANS = ("print_time_s",)  # told in hours, minutes and seconds
+SPANS = ("print_time_s",)  # shown in hours, minutes and seconds
 LEAST_OF = {"clearance_min_mm": ("nozzle_clearance_min_mm", "arm_clearance_min_mm", "robot_clearance_min_mm")}
 PAIRS = "bodies that come near"
 
@@ -91,12 +91,12 @@ PAIRS = "bodies that come near"
 class JudgedRow:
     """One thing that is judged.
 
-    value, limit  as they are shown; `limit` is empty where there is none
-    share  of the limit that is used; None where that says nothing
-    ok     None where nothing is checked
+    value, limit  as they are shown; `limit` is empty if there is none
+    share  of the limit that is used; None if that is meaningless
+    ok     None if nothing is checked
     rivals (text, whether beyond the limit, whether better than this plan) for each other strategy
     better whether this plan is better than all of them
-    place  where to go; None without one
+    place  where to go in the scene; None without one
     key    number of the place on the page
     """
 
@@ -115,15 +115,15 @@ class JudgedRow:
 
     @property
     def units(self) -> tuple[str, str]:
-        """The unit beside the name, and that beside the value: one of them is empty."""
+        """The units next to the name and next to the value: one of them is empty."""
         return ("", self.unit) if self.unit in SHORT_UNITS else (self.unit, "")
 
 
 @dataclass(frozen=True)
 class JudgedList:
-    """The rows of a plan: what fails, what stands at the top, where speed is lost and margins are tight, and the rest by groups.
+    """The rows of a plan: failures, headlines, where speed is lost and margins are tight, and the rest by groups.
 
-    dips  what the table of dips has beyond those in `tight`
+    dips  those of the table of dips that are not in `tight`
     """
 
     failed: tuple[JudgedRow, ...]
@@ -134,7 +134,7 @@ class JudgedList:
 
     @property
     def rows(self) -> Iterator[JudgedRow]:
-        """All rows, as the page has them."""
+        """All rows, in the order of the page."""
         yield from (*self.failed, *self.headlines, *self.tight)
         for _, rows in self.rest:
             yield from rows
@@ -142,12 +142,12 @@ class JudgedList:
 
     @property
     def places(self) -> list[ReportPlace]:
-        """All places; the first ones, which stand in the list without unfolding it, have letters."""
+        """All places; the first ones, which are visible without unfolding the list, have letters."""
         return [row.place for row in self.rows if row.place is not None]
 
     @property
     def dips_places(self) -> list[int]:
-        """Numbers of the dips' places, the dearest first."""
+        """Numbers of the dips' places, the costliest first."""
         return [row.key for row in self.rows if row.place is not None and row.place.kind == "slow"]
 
 
@@ -188,7 +188,7 @@ def _tightest(rows: Sequence[JudgedRow]) -> JudgedRow:
 
 
 def _checked(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[str, Worst]) -> Iterator[JudgedRow]:
-    """A row for each check, with the figures of the metric that has its name."""
+    """A row for each check, with the figures of the metric of the same name."""
     metrics = {metric.label: metric for metric in METRICS}
     for check in plan.checks:
         name = check.name.translate(CHECK_NAMES)
@@ -224,7 +224,7 @@ def _checked(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[s
 
 
 def _same(check: Check, metric: MetricLabel, metrics: Mapping[str, float]) -> bool:
-    """Whether a check and the metric of its name tell the same value, in the same unit or both as a share."""
+    """Whether a check and the metric of its name have the same value, in the same unit or both as a share."""
     unit = UNITS.get(check.unit, check.unit)
     if unit != metric.unit and (unit in SHORT_UNITS or metric.unit != "%"):
         return False
@@ -232,13 +232,13 @@ def _same(check: Check, metric: MetricLabel, metrics: Mapping[str, float]) -> bo
 
 
 def _is_pair(check: Check, each: Approach) -> bool:
-    """Whether a check tells the distance of a pair of bodies, and names them."""
+    """Whether a check gives the distance of a pair of bodies, and names them."""
     named = check.where.startswith(f"{each.a} and {each.b}")
     return named and abs(each.distance * 1e3 - check.worst) < SAME_DISTANCE
 
 
 def _share(check: Check) -> float | None:
-    """How much of its limit a check's worst value uses; None where the limit is 0, or no number is worst."""
+    """Share of its limit that a check's worst value uses; None if the limit is 0, or the worst value no number."""
     if not (math.isfinite(check.worst) and check.limit > 0.0):
         return None
     if not check.least:
@@ -247,7 +247,7 @@ def _share(check: Check) -> float | None:
 
 
 def _figure(metric: MetricLabel, mine: Mapping[str, float], others: Sequence[Mapping[str, float]]) -> JudgedRow:
-    """A metric beside those of the other strategies."""
+    """A metric next to those of the other strategies."""
     value, *theirs = (_scaled(each.get(metric.key), metric) for each in (mine, *others))
     ahead = [_ahead(value, other, metric) for other in theirs]
     rivals = tuple(
@@ -262,7 +262,7 @@ def _figure(metric: MetricLabel, mine: Mapping[str, float], others: Sequence[Map
 
 
 def _ahead(value: float | None, other: float | None, metric: MetricLabel) -> int:
-    """1 where a value is better than another one, -1 where it is worse, as both are shown; 0 where that says nothing."""
+    """1 if a value is better than another one, -1 if it is worse, both as shown; 0 if equal or not comparable."""
     if value is None or other is None or not metric.better:
         return 0
     mine, its = round(value, metric.digits), round(other, metric.digits)
@@ -297,7 +297,7 @@ def _measured(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[
 
 
 def _pairs(plan: Plan) -> Iterator[JudgedRow]:
-    """A row for each pair of bodies that come near each other, but for those that a check tells."""
+    """A row for each pair of bodies that come near each other, except those that a check covers."""
     for each in plan.approaches:
         if any(_is_pair(check, each) for check in plan.checks):
             continue
@@ -326,7 +326,7 @@ def _dips(plan: Plan) -> list[JudgedRow]:
 
 
 def _numbered(found: JudgedList) -> JudgedList:
-    """The list with numbers of the places, and letters of those that are not folded."""
+    """The list with its places numbered, and lettered if they are not folded."""
     numbers, letters = itertools.count(), itertools.count()
 
     def placed(rows: Sequence[JudgedRow], lettered: bool = False) -> tuple[JudgedRow, ...]:

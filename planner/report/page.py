@@ -26,12 +26,12 @@ from planner.report.templates import render
 # ----------------------------------------------------------------------------------------------------
 # Packing of figures: numbers in binary, compressed, in base64.
 #
-# What is packed is four bytes with the length of a JSON text, the text, and the arrays that it refers to by
-# {"array": [kind, offset, count]}; everything little-endian, arrays on whole eight bytes from where they begin.
+# The format: four bytes with the length of a JSON text, the text, and the arrays that it refers to by {"array": [kind,
+# offset, count]}; everything is little-endian, and arrays are aligned to eight bytes from where they begin.
 
 KINDS = {"float32": "f4", "float64": "f8", "int32": "i4", "int8": "i1", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
 LEVEL = 9  # of compression: a page is written once and opened often
-FINEST = 65534  # steps of a value from the least to the greatest; one more stands for no number
+FINEST = 65534  # steps of a value from the least to the greatest; one more marks a value that is not finite
 ALIGNED = 8  # bytes
 
 
@@ -62,7 +62,7 @@ def squeezed(data: bytes) -> str:
 
 
 def coarse(values: Array) -> dict[str, Any]:
-    """Values (n) in 16 bits: `low`, `step` and numbers of steps; FINEST + 1 for what is not finite."""
+    """Values (n) in 16 bits: `low`, `step` and numbers of steps; FINEST + 1 for values that are not finite."""
     finite = np.isfinite(values)
     low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)
     step = (high - low) / FINEST
@@ -73,20 +73,22 @@ def coarse(values: Array) -> dict[str, Any]:
 # ----------------------------------------------------------------------------------------------------
 # Scripts of other projects, compressed: the same for every page, and half a second of work.
 
-# By name: the distribution, and its file. The script alone is read; the package, if it is one, is not imported.
+# By name: the distribution's file. Only the script is read; its package, if there is one, is not imported.
 LIBRARIES = {"k3d": "k3d/static/standalone.js", "plotly": "plotly/package_data/plotly.min.js"}
-# K3D's fonts are for formulas; the report has none, and a browser would load them all.
+# K3D's fonts are for formulas; the report has no formulas, but a browser would load all fonts.
 FONTS = (r"@font-face\{(?:\$\{\w+\}|[^{}])*\}", r"data:font/woff2;base64,[A-Za-z0-9+/=]*")
 
 
 def library(name: str) -> str:
-    """One of LIBRARIES as `squeezed` has it."""
+    """One of LIBRARIES, compressed by `squeezed`."""
     return _begun(name).result()
 
 
 def begin() -> None:
-    """Begin to compress all of them beside what comes next: that takes no turns with Python. Not for a process that will
-    be forked before it writes a page itself: no thread goes with the copy."""
+    """Begin to compress all of them in the background, which does not hold up Python.
+
+    Not for a process that will be forked before it writes a page itself: the copy would not have the threads.
+    """
     for name in LIBRARIES:
         _begun(name)
 
@@ -128,12 +130,12 @@ SCRIPTS = (
 def page(template: str, title: str, figures: Mapping[str, Any], /, **values: Any) -> str:
     """Complete HTML of a report, by a template that extends page.html.
 
-    figures: `scene` (see scene.py) or None, `charts`: each with `key`, `traces`, `layout`; `time` if its x is time; and
-    `roll_map` (see roll_map.py) where there is one, beside charts.
+    figures: `scene` (see scene.py) or None; `charts`, each with `key`, `traces`, `layout`, and `time` if its x is time;
+    and `roll_map` (see roll_map.py) if there is one, next to charts.
     """
     assets = files("planner.report")
     needed = (("k3d", figures.get("scene")), ("plotly", figures["charts"]))
-    # styles, scripts and what is packed are ours and go in as they are; the latter is base64
+    # styles, scripts and packed data are our own and are not escaped; the latter is base64
     return render(
         template,
         title=title,
@@ -146,7 +148,7 @@ def page(template: str, title: str, figures: Mapping[str, Any], /, **values: Any
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all; OutputError where the place cannot be written."""
+    """Write a file whole or not at all. Raises OutputError if it cannot be written."""
     partial = path.with_name(path.name + ".partial")
     try:
         partial.write_text(text, encoding="utf-8", newline="\n")
@@ -157,7 +159,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
-    """Nested settings as (dotted name, text); floats with six significant digits."""
+    """Nested settings as pairs (dotted name, text); floats with six significant digits."""
     if isinstance(value, Mapping):
         return [pair for key, v in value.items() for pair in flat(v, f"{prefix}.{key}" if prefix else str(key))]
     if isinstance(value, float | np.floating):

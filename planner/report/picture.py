@@ -45,7 +45,7 @@ def read_folder(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
         raise InputError(f"not JSON: {error}", file=path, line=getattr(error, "lineno", None)) from error
     for field, kind in (("problem", str), ("strategy", str), ("verified", bool), ("metrics", dict)):
         if not isinstance(summary, dict) or not isinstance(summary.get(field), kind):
-            raise InputError("missing, or not what a plan has here", file=path, field=field)
+            raise InputError("missing, or not of the type that a plan has here", file=path, field=field)
     path = folder / "trajectory.csv"
     with path.open(encoding="utf-8", errors="replace") as stream:
         header = [name.strip() for name in stream.readline().split(",")]
@@ -64,7 +64,7 @@ def read_folder(folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 def read_part(folder: Path) -> Array:
-    """Triangles (n, 3, 3) of the part [mm] in report_part.stl; none where there is no such file.
+    """Triangles (n, 3, 3) of the part [mm] in report_part.stl; none if there is no such file.
 
     Raises InputError for a file that is no STL file.
     """
@@ -78,7 +78,7 @@ def read_part(folder: Path) -> Array:
     except (ValueError, TypeError, IndexError, struct.error, UnicodeDecodeError) as error:
         raise InputError("not an STL file", file=path) from error
     if not (len(triangles) and np.isfinite(triangles).all()):
-        raise InputError("no triangles, or one with a corner that is no number", file=path)
+        raise InputError("no triangles, or one with a corner that is not finite", file=path)
     return triangles
 
 
@@ -87,18 +87,18 @@ def read_part(folder: Path) -> Array:
 #
 #     python -m planner.report.picture OUT_FOLDER PICTURE.png
 #
-# Reads trajectory.csv, plan.json and, where the part has a shape of its own, report_part.stl.
+# Reads trajectory.csv, plan.json and, if the part has a shape of its own, report_part.stl.
 
 ELEVATION = np.radians(20.0)
 SCENE_INCHES = np.array([6.2, 6.1])  # width and height of the scene
-SHEEN = 0.45  # of the way to white, where light falls straight on a bead
-WIDEST = 1.35  # points: a bead's line
-LINE = 0.75  # of a bead's size: its line, so that beads side by side stay apart
-LEAST_DOT = 0.03  # of the costliest dip's time: cheaper ones are not marked
-SMALLEST_DOT, LARGEST_DOT = 5.0, 40.0  # of a dip, square points
+SHEEN = 0.45  # share of the way to white, where light falls straight on a bead
+WIDEST = 1.35  # points: greatest width of a bead's line
+LINE = 0.75  # × a bead's size: width of its line, so that beads side by side stay apart
+LEAST_DOT = 0.03  # × the costliest dip's time: cheaper ones are not marked
+SMALLEST_DOT, LARGEST_DOT = 5.0, 40.0  # square points: a dip's dot
 SOFT = "#5b6b7b"
 PART_LIT, PART_DARK = np.array([238.0, 242.0, 246.0]), np.array([176.0, 187.0, 199.0])
-REST = "stop"  # limit of a dip that is none: a rest that was planned
+REST = "stop"  # limit of a dip that is a planned rest
 _FLAT = 1e-12  # mm^2: a triangle without an area
 COLOUR_MAP = LinearSegmentedColormap.from_list("calm", COLOURS)
 
@@ -106,7 +106,7 @@ COLOUR_MAP = LinearSegmentedColormap.from_list("calm", COLOURS)
 def draw_picture(folder: Path, picture: Path) -> None:
     """Draw the plan in `folder` into the PNG `picture`.
 
-    Raises InputError for a missing or damaged folder, and OutputError where the picture cannot be written.
+    Raises InputError for a missing or damaged folder, and OutputError if the picture cannot be written.
     """
     summary, rows = read_folder(folder)
     printing = rows["deposit"] > 0.5
@@ -179,7 +179,7 @@ def _draw_scene(
     outlines = [flat]
     if len(part):
         outlines.append(_draw_part(axes, part, right, up, eye))
-    # Lines on the far side lie behind the part: only what sticks out beside it shows.
+    # Lines on the far side are drawn behind the part: only what sticks out past it shows.
     for mine, order in ((joined & ~facing, 1), (joined & facing, 3)):
         at = np.flatnonzero(mine)
         at = at[np.argsort(depth[at], kind="stable")]
@@ -199,7 +199,7 @@ def _draw_scene(
 def _mark_dips(
     axes: Any, points: Array, normals: Array, time: Array, dips: Sequence[dict[str, Any]], view: tuple[Array, ...]
 ) -> None:
-    """A white dot within black at each dip on the near side, the larger the more time it costs."""
+    """A white dot with a black edge at each dip on the near side, the larger the more time the dip costs."""
     right, up, eye = view
     at = np.searchsorted(time, [dip["t_s"] - 0.5 * (time[1] - time[0]) for dip in dips])
     cost = np.array([dip["lost_s"] for dip in dips])
@@ -212,7 +212,7 @@ def _mark_dips(
 
 
 def _draw_part(axes: Any, triangles: Array, right: Array, up: Array, eye: Array) -> Array:
-    """Shade what is seen of triangles (n, 3, 3), the nearest last; returns their corners (k, 2) on the picture."""
+    """Shade the visible triangles of (n, 3, 3), the nearest last; returns their corners (k, 2) on the picture."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1), _FLAT)[:, None]
     near = np.flatnonzero(normals @ eye > 0.0)
@@ -250,9 +250,9 @@ def _draw_words(figure: Figure, summary: dict[str, Any]) -> None:
 def _draw_speed(
     axes: Any, rows: dict[str, Array], printing: NDArray[np.bool_], commanded: float, norm: Normalize
 ) -> None:
-    """Tip speed over time while depositing, coloured as in the scene: that makes it the legend too.
+    """Tip speed over time while depositing, coloured as in the scene, so that it also serves as the legend.
 
-    Dashed is the commanded speed, the mean of several.
+    The commanded speed, or the mean of several, is dashed.
     """
     index, begin, end = stretches(printing, rows["bead"].astype(int))
     speed = rows["speed_mm_s"][index]

@@ -1,4 +1,4 @@
-"""Places to go to in the scene: the worst of the plan, near bodies, and dips with what would avoid them."""
+"""Places to go to in the scene: the plan's worst places, bodies close to each other, and dips with their remedies."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 # Dips: marks on the part, a table of those that cost most, and what would avoid them.
 
 MOST_ROWS = 30
-SLOWEST_ADVISED = 0.5  # of the commanded speed: nobody would print slower to avoid a dip
+SLOWEST_ADVISED = 0.5  # × the commanded speed: nobody would print slower to avoid a dip
 MOST_MARKS = 800  # each carries some 300 bytes of words
 
 
 def worst_first(dips: Sequence[Dip]) -> list[Dip]:
-    """Dips by the time that they cost, most first."""
+    """Dips by the time that they cost, the costliest first."""
     return sorted(dips, key=lambda dip: -dip.lost)
 
 
 def without_stops(dips: Sequence[Dip]) -> list[Dip]:
-    """Dips but for those where the nozzle has to rest on its bead."""
+    """Dips without those where the nozzle has to rest on its bead."""
     return [dip for dip in dips if dip.limit != "stop"]
 
 
@@ -40,8 +40,11 @@ def samples_of(trajectory: Trajectory, dips: Sequence[Dip]) -> NDArray[np.intp]:
 
 
 def dip_marks(plan: Plan) -> dict[str, Any] | None:
-    """Marks of the dips that cost most: `point` and `normal` (part frame, m), `sample`, `layer`, `words`, and `cost`, the root
-    of the time lost as a share of the most; None without any."""
+    """Marks of the dips that cost most; None without any.
+
+    `point` and `normal` (part frame, m), `sample`, `layer`, `words`, and `cost`, the square root of the time lost as a
+    share of the greatest.
+    """
     if not plan.dips:
         return None
     shown = sorted(worst_first(plan.dips)[:MOST_MARKS], key=lambda dip: dip.t)
@@ -60,9 +63,9 @@ def dip_marks(plan: Plan) -> dict[str, Any] | None:
 
 
 def dips_section(plan: Plan, numbers: Sequence[int]) -> Markup:
-    """HTML of the dips: how many, what they cost, by cause, and the worst of them with what would avoid each.
+    """HTML of the dips: their number and cost by cause, and the worst of them with what would avoid each.
 
-    numbers: of their places on the page, those of the dearest first
+    numbers: of their places on the page, those of the costliest first
     """
     dips, commanded = without_stops(plan.dips), plan.commanded
     by_cause: dict[str, list[Dip]] = defaultdict(list)
@@ -106,18 +109,18 @@ def _lines(dip: Dip, commanded: float) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Places: where the plan is worst, where bodies come near, and what would help there.
+# Places: where the plan is worst, where bodies come close to each other, and what would help there.
 
 AT_SPEED = 0.98
-SAME_DIP = 1e-6  # s: a dip's slowest sample and the slowest of all are one
-PLACEMENT = "another place or turn of the part (python -m planner.place searches for it)"
+SAME_DIP = 1e-6  # s within which a dip's slowest sample and a given sample are the same
+PLACEMENT = "another position or rotation of the part (python -m planner.place searches for it)"
 SINGULAR = f"A nozzle at an angle to the flange (cell.nozzle.axis), or {PLACEMENT}, keeps away from it."
 STOPS = f"Another posture to start from (cell.home_deg), or {PLACEMENT}, gives the joint more room."
 BUSY = "A wider process.corner_tolerance_mm asks less of it in corners, a lower process.speed_mm_s everywhere."
 IN_TRAVEL = "It travels there, as quickly as its limits allow: nothing is printed."
 LEANS = "process.cones.nozzle_normal_deg bounds the lean; 0 holds the nozzle upright on the surface."
-NEAR = f"More room: {PLACEMENT}; collision.nozzle_mm and collision.arm_mm say what has to be kept."
-COUNTED = "process.crossings: told counts them, and refuses nothing."
+NEAR = f"More room: {PLACEMENT}; collision.nozzle_mm and collision.arm_mm set the distances to keep."
+COUNTED = "process.crossings: told counts them and refuses nothing."
 EVEN_SPEED = (
     "a wider process.corner_tolerance_mm, or a lower process.speed_mm_s. With process.extruder.motor: e_axis or speed_demand "
     "the flow follows the speed; process.extruder.flow_tolerance says how uneven it may be."
@@ -126,7 +129,7 @@ LAGGING = "Beads longer than what is laid in process.extruder.lag_s, a lower pro
 SAMPLED = "Finer samples (--dt 0.002), where beads are short or their width changes quickly."
 STEERED = (
     "A curve of layers.source that bends less there, or a wider process.corner_tolerance_mm where it has a corner; "
-    "process.fibre.least_radius_mm is to say what the tow bears."
+    "process.fibre.least_radius_mm should be what the tow tolerates."
 )
 ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}  # derivative by time
 
@@ -135,9 +138,9 @@ ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}  # derivative by time
 class ReportPlace:
     """A place to go to: what is there, its value in words, the sample, and what would help.
 
-    letter  empty for a place that is folded
+    letter  empty for a place in the folded part of the list
     kind    "fail", "worst", "slow" or "near"
-    pair    the two bodies that come near each other there, if it is about such
+    pair    the two bodies that come near each other there, if it is about a pair
     """
 
     letter: str
@@ -151,7 +154,7 @@ class ReportPlace:
 
 @dataclass(frozen=True)
 class Worst:
-    """Where a metric has its value: the sample, the joint that it is about, if any, and what would help."""
+    """Where a metric has its value: the sample, the joint concerned, if any, and what would help."""
 
     sample: int
     joint: str = ""
@@ -159,10 +162,10 @@ class Worst:
 
 
 def worst_samples(plan: Plan) -> dict[str, Worst]:
-    """Where metrics have their values, by the metric's key; those that have no place are missing.
+    """Where metrics have their values, by the metric's key; metrics without a place are left out.
 
-    While depositing: slowest, nearest to a singularity, leaning most. In the whole motion: nearest to an end stop, hardest
-    on the joints.
+    While depositing: slowest, closest to a singularity, leaning most. In the whole motion: closest to an end stop,
+    hardest on the joints.
     """
     traj, series = plan.trajectory, plan.series
     printing = np.flatnonzero(traj.deposit)
@@ -204,7 +207,7 @@ def where_words(plan: Plan, sample: int) -> str:
 
 
 def places_data(plan: Plan, places: Sequence[ReportPlace]) -> list[dict[str, Any]]:
-    """The same for the page: time, point [m] and outward normal in the part frame, and the words of its card."""
+    """Places as data for the page: time, point [m] and outward normal in the part frame, and the words of the card."""
     traj = plan.trajectory
     return [
         {
@@ -224,12 +227,12 @@ def places_data(plan: Plan, places: Sequence[ReportPlace]) -> list[dict[str, Any
 
 
 def drawn(name: str) -> str:
-    """The body that a name is drawn as: all beads are one."""
+    """The body that represents a name in the scene: all beads are one."""
     return "print" if name.startswith("bead ") else name
 
 
 def check_advice(name: str, plan: Plan, sample: int) -> str:
-    """What may help where a check is worst, by what it is about; sample: -1 where it is at none."""
+    """What may help where a check is worst, by the check's subject; sample: -1 if it is at none."""
     if name in REMEDIES:
         return REMEDIES[name](plan)
     for word, advice in (("clear", NEAR), ("singular", SINGULAR), ("branch", SINGULAR), ("range", STOPS)):
@@ -239,13 +242,13 @@ def check_advice(name: str, plan: Plan, sample: int) -> str:
 
 
 def near_place(each: Approach) -> ReportPlace:
-    """The place where two bodies come nearest to each other."""
-    value = f"{each.distance * 1e3:.1f} mm apart, {each.need * 1e3:g} mm to be kept"
+    """The place where two bodies come closest to each other."""
+    value = f"{each.distance * 1e3:.1f} mm apart, {each.need * 1e3:g} mm required"
     return ReportPlace("", "near", f"{each.a} – {each.b}", value, each.sample, NEAR, (each.a, each.b))
 
 
 def dip_place(plan: Plan, dip: Dip) -> ReportPlace:
-    """The place where speed is least in a dip."""
+    """The place where a dip is slowest."""
     commanded = float(plan.commanded[dip.bead])
     value = f"{dip.speed * 1e3:.1f} of {commanded * 1e3:g} mm/s"
     (sample,) = samples_of(plan.trajectory, [dip]).tolist()
@@ -261,18 +264,18 @@ def letter(k: int) -> str:
 
 
 def _remedies(dip: Dip, commanded: float) -> str:
-    """What would avoid a dip; empty where nothing is known."""
+    """What would avoid a dip, in words; empty if nothing is known."""
     remedies = "; or ".join(remedy.words for remedy in followable(dip, commanded))
     return f"Would avoid it: {remedies}." if remedies else ""
 
 
 def _of_dip(plan: Plan, sample: int) -> str:
-    """Why it is slow there, and what would avoid it."""
+    """Why the tip is slow at a sample, and what would avoid it."""
     t = plan.trajectory.t[sample]
     dip = next((dip for dip in plan.dips if abs(dip.t - t) < SAME_DIP), None)
     if dip is None:
         return BUSY
-    return f"Because of: {dip.cause}. {_remedies(dip, float(plan.commanded[dip.bead]))}".strip()
+    return f"Cause: {dip.cause}. {_remedies(dip, float(plan.commanded[dip.bead]))}".strip()
 
 
 def _busy(plan: Plan, sample: int) -> str:
@@ -283,7 +286,7 @@ def _uncrossed(plan: Plan) -> str:
     """What to change where beads cross."""
     path = getattr(plan.problem.layers.source, "path", None)  # of faces: how they are covered
     if path is None:
-        return f"Lines of one layer that cross have to be parted where they are drawn. {COUNTED}"
+        return f"Lines of one layer that cross must be separated where they are drawn. {COUNTED}"
     others = [f"layers.source.path: {name}" for name in ("rows", "tour") if name != path]
     of_samples = "" if path == "rows" else "another layers.source.direction, "
     return f"Another way over the faces: {', '.join(others)}, {of_samples}another layers.source.spacing_mm. {COUNTED}"
@@ -307,7 +310,7 @@ REMEDIES: dict[str, Callable[[Plan], str]] = {
 
 
 def _busiest(plan: Plan, name: str, sample: int) -> int:
-    """Index of the joint that uses most of its limit about a sample."""
+    """Index of the joint that uses most of its limit around a sample."""
     order, traj = ORDERS[name], plan.trajectory
     first = max(min(sample - 2, len(traj) - 5), 0)
     about = traj.q[first : first + 5]
@@ -316,7 +319,7 @@ def _busiest(plan: Plan, name: str, sample: int) -> int:
 
 
 def _at_its_end(plan: Plan, sample: int) -> str:
-    """Name of the joint that is nearest to its end stop, of those that turn: metres are no nearer than radians."""
+    """Name of the revolute joint closest to its end stop: metres cannot be compared with radians."""
     limits, q = plan.cell.limits, plan.trajectory.q[sample]
     margin = np.where(limits.turns, np.minimum(q - limits.q_min, limits.q_max - q), np.inf)
     return str(plan.cell.joint_names[int(margin.argmin())])

@@ -25,7 +25,7 @@ from planner.resolve.joint_path import ORDERS, ByArcLength, by_arc_length, splin
 from planner.resolve.roll_map import COLLISION, LIMITS, REACH, SINGULAR, RollMap
 
 # ----------------------------------------------------------------------------------------------------
-# Shared: colours for colour-blind eyes too, and axes where the caller brings none.
+# Shared: colours that suit colour-blind eyes too, and axes if the caller gives none.
 
 # Okabe and Ito, without their yellow, which is hard to see on white.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
@@ -42,13 +42,13 @@ def axes_of(ax: Axes | None, **figure: Any) -> Axes:
 
 
 def legend_above(ax: Axes) -> None:
-    """A legend in one row above the axes, where nothing is drawn."""
+    """Put the legend in one row above the axes, where nothing is drawn."""
     count = len(ax.get_legend_handles_labels()[0])
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=count, frameon=False, fontsize=8)
 
 
 def tidy(ax: Axes) -> Axes:
-    """Without a box around it."""
+    """Remove the top and right spines."""
     ax.spines[["top", "right"]].set_visible(False)
     return ax
 
@@ -58,16 +58,28 @@ def tidy(ax: Axes) -> Axes:
 
 NAMES = ("velocity", "acceleration", "jerk")
 RATES = ("|q′| v", "|q″| v²", "|q‴| v³")
-MOST_NAMED = 3  # dips whose cause is written beside them
-_APART, _LATE = 0.2, 0.75  # of the width: between two names; where names stand to the left of their places
-_HIGHEST = 20.0  # times the commanded speed: higher ceilings are not drawn
-_LEAST_SHARE = 1e-2  # of a limit: less is not drawn
-_ENDLESS = 720.0  # deg: a range beyond it has no end, for a picture
-_PER_SAMPLE = 4  # places that are looked at between two samples of a task
+MOST_NAMED = 3  # dips whose cause is written next to them
+_APART, _LATE = 0.2, 0.75  # shares of the width: least distance of two names; beyond it, names are left of their places
+_HIGHEST = 20.0  # × the commanded speed: higher ceilings are not drawn
+_LEAST_SHARE = 1e-2  # share of a limit: less is not drawn
+_ENDLESS = 720.0  # deg: a larger range is drawn as unlimited
+_PER_SAMPLE = 4  # places evaluated between two samples of a task
 
 
 def speed(plan: Plan, ax: Axes | None = None, bead: int | None = None) -> Axes:
-    """The tip's speed while material flows, over time, or along one bead; its dips marked, the worst ones named."""
+    """The tip's speed while material flows, over time, or along one bead; its dips marked, the worst ones named.
+
+    Args:
+        plan: The plan to draw.
+        ax: Axes to draw on; new ones by default.
+        bead: Index of the bead, for its speed over arc length; by default, the whole print over time.
+
+    Returns:
+        The axes.
+
+    Raises:
+        InputError: If the plan does not lay this bead.
+    """
     laid = plan.deposit if bead is None else plan.deposit & (plan.bead == _known(plan, bead))
     ax = tidy(axes_of(ax, figsize=(9.0, 2.8)))
     x = plan.t if bead is None else plan.s * 1e3
@@ -92,7 +104,7 @@ def speed(plan: Plan, ax: Axes | None = None, bead: int | None = None) -> Axes:
 
 
 def _name_worst(ax: Axes, dips: Sequence[tuple[float, float, str]], x: Array) -> None:
-    """Write the cause beside the first few dips (x, y, cause), none beside a neighbour of one that is named."""
+    """Write the cause next to the first few dips (x, y, cause), except those too close to one that is named."""
     first, last = float(x[0]), float(x[-1])
     named: list[float] = []
     for where, low, cause in dips:
@@ -109,9 +121,21 @@ def _name_worst(ax: Axes, dips: Sequence[tuple[float, float, str]], x: Array) ->
 
 
 def path_derivatives(plan: Plan, bead: int, order: int, ax: Axes | None = None) -> Axes:
-    """What a bead asks of each joint at the commanded, constant speed: |q′| v, |q″| v² or |q‴| v³ over its limit.
+    """What a bead demands of each joint at the constant commanded speed: |q′| v, |q″| v² or |q‴| v³ over its limit.
 
-    order: 1 velocity, 2 acceleration, 3 jerk. Where a curve is above 1, the speed has to dip.
+    Where a curve is above 1, the speed has to dip.
+
+    Args:
+        plan: The plan to draw.
+        bead: Index of the bead.
+        order: 1 velocity, 2 acceleration, 3 jerk.
+        ax: Axes to draw on; new ones by default.
+
+    Returns:
+        The axes.
+
+    Raises:
+        InputError: If there is no such order, or if the plan does not lay this bead.
     """
     if order not in ORDERS:
         raise InputError(f"there is no derivative of order {order!r}", hint="1 velocity, 2 acceleration, 3 jerk")
@@ -133,8 +157,19 @@ def path_derivatives(plan: Plan, bead: int, order: int, ax: Axes | None = None) 
 def speed_ceilings(plan: Plan, bead: int, ax: Axes | None = None) -> Axes:
     """The greatest constant speed that the limits of velocity, acceleration and jerk allow at each place of a bead.
 
-    Beside them the commanded speed and the one that is reached: it dips where a ceiling does, and gains and loses
-    speed around that.
+    Also drawn are the commanded speed and the one that is reached: it dips where a ceiling does, and slows down before
+    and speeds up after that.
+
+    Args:
+        plan: The plan to draw.
+        bead: Index of the bead.
+        ax: Axes to draw on; new ones by default.
+
+    Returns:
+        The axes.
+
+    Raises:
+        InputError: If the plan does not lay this bead.
     """
     found, limits = _along_bead(plan, bead), _limits(plan)
     ax = tidy(axes_of(ax, figsize=(9.0, 3.2)))
@@ -157,7 +192,15 @@ def speed_ceilings(plan: Plan, bead: int, ax: Axes | None = None) -> Axes:
 
 
 def joint_ranges(plan: Plan, ax: Axes | None = None) -> Axes:
-    """The range of each joint, what of it is used while material flows, and what in all."""
+    """The range of each joint, and how much of it is used while material flows, and overall.
+
+    Args:
+        plan: The plan to draw.
+        ax: Axes to draw on; new ones by default.
+
+    Returns:
+        The axes.
+    """
     names = plan.joint_names
     ax = tidy(axes_of(ax, figsize=(9.0, 0.6 + 0.38 * len(names))))
     scale, units = shown_units(plan.cell)
@@ -181,7 +224,7 @@ def joint_ranges(plan: Plan, ax: Axes | None = None) -> Axes:
 
 
 def _known(plan: Plan, bead: int) -> int:
-    """Raises InputError for a bead that is not laid."""
+    """The bead's index. Raises InputError for a bead that is not laid."""
     first, last = plan.first_bead, plan.first_bead + len(plan.beads) - 1
     if not first <= bead <= last:
         raise InputError(f"there is no bead {bead!r} in this plan", hint=f"a number from {first} to {last}")
@@ -189,7 +232,7 @@ def _known(plan: Plan, bead: int) -> int:
 
 
 def _along_bead(plan: Plan, bead: int) -> ByArcLength:
-    """Derivatives along what is deposited of a bead; s from its start."""
+    """Derivatives along the deposited part of a bead; s from its start."""
     path = plan.paths[_known(plan, bead) - plan.first_bead]
     low, high = float(path.task.s[path.task.first]), float(path.task.s[path.task.last])
     found = by_arc_length(path, spline_of(path), low, high, _PER_SAMPLE)
@@ -207,9 +250,19 @@ def _limits(plan: Plan) -> Array:
 
 
 def compare(plans: Mapping[str, Plan], metric: str, ax: Axes | None = None, label: str = "") -> Axes:
-    """One metric of several plans as bars; hatched where a plan is not verified.
+    """One metric of several plans as bars; hatched if a plan is not verified.
 
-    plans: by the names that are written beside the bars; metric: a name in `Plan.metrics`, in the unit that it says.
+    Args:
+        plans: Plans by the names written next to the bars.
+        metric: A name in `Plan.metrics`; values are in the unit that the name gives.
+        ax: Axes to draw on; new ones by default.
+        label: Title of the axes; by default, the metric's name.
+
+    Returns:
+        The axes.
+
+    Raises:
+        InputError: If none of the plans has the metric.
     """
     known = sorted({name for plan in plans.values() for name in plan.metrics})
     if metric not in known:
@@ -239,7 +292,7 @@ ROLL_MEASURES = {
     "limit": ("angle from an end stop, deg", 180.0 / np.pi),
     "clearance": ("clearance beyond need, mm", 1e3),
 }
-# reason → grey, hatch: told apart without colour
+# reason → grey, hatch: distinguishable without colour
 AREAS = {
     REACH: ("#f4f6f9", "."),
     LIMITS: ("#e3e8ee", "///"),
@@ -249,9 +302,20 @@ AREAS = {
 
 
 def redundancy_map(roll_map: RollMap, ax: Axes | None = None, measure: str = "sigma") -> Axes:
-    """Draw what the roll may be along the path, coloured by a measure (light is tight), hatched where it may not be.
+    """Draw the feasible roll along the path, coloured by a measure (red is tight), with infeasible areas hatched.
 
-    measure: "sigma", "limit" or "clearance". The line is the roll that was chosen, if there is one.
+    The line is the roll that was chosen, if there is one.
+
+    Args:
+        roll_map: The map, such as one of `Plan.roll_maps`.
+        ax: Axes to draw on; new ones by default.
+        measure: "sigma", "limit" or "clearance".
+
+    Returns:
+        The axes.
+
+    Raises:
+        InputError: If there is no such measure.
     """
     if measure not in ROLL_MEASURES:
         near = nearest_name(measure, ROLL_MEASURES)
@@ -271,7 +335,7 @@ def redundancy_map(roll_map: RollMap, ax: Axes | None = None, measure: str = "si
         here = roll_map.why == why
         if not here.any():
             continue
-        area = np.concatenate([here, here[:, :1]], axis=1)  # once round the circle
+        area = np.concatenate([here, here[:, :1]], axis=1)  # once around the circle
         rolls = np.append(np.degrees(roll_map.roll), np.degrees(roll_map.roll[0]) + 360.0)
         ax.contourf(roll_map.along * 1e3, rolls, area.T, levels=[0.5, 1.5], colors=[grey], hatches=[hatch])
         legend.append(Patch(facecolor=grey, edgecolor=SOFT, hatch=hatch, label=roll_map.reasons[why]))
@@ -287,13 +351,13 @@ def redundancy_map(roll_map: RollMap, ax: Axes | None = None, measure: str = "si
 
 
 def _edges(at: Array) -> Array:
-    """Edges of columns (m + 1) that stand at ascending places (m)."""
+    """Edges (m + 1) of columns at ascending places (m)."""
     middle = 0.5 * (at[1:] + at[:-1])
     return np.concatenate([at[:1], middle, at[-1:]])
 
 
 def _draw_chosen(ax: Axes, roll_map: RollMap) -> None:
-    """The chosen roll, broken where it goes round the circle and between beads."""
+    """Draw the chosen roll, broken where it wraps around the circle and between beads."""
     roll = np.degrees(roll_map.chosen)
     if np.isnan(roll).all():
         return
@@ -307,18 +371,27 @@ def _draw_chosen(ax: Axes, roll_map: RollMap) -> None:
 # The print in three dimensions.
 
 PATH_MEASURES = {"speed": "speed, mm/s", "sigma": "singular value σ", "layer": "layer", "bead": "bead"}
-MOST_SEGMENTS = 12_000  # more is slow to draw, and no finer to look at
+MOST_SEGMENTS = 12_000  # more are slow to draw, and look no finer
 MOST_TRIANGLES = 6_000  # of the part: a finer one is not drawn
-_SLOWER = 0.9  # of the commanded speed: the colours reach down to there at least
+_SLOWER = 0.9  # × the commanded speed: the colours reach down at least to there
 _PART_ALPHA = 0.25
-_LARGEST_PART = 4.0  # times the print: a larger part would leave it no room
-_FLATTEST = 0.3  # of its greatest extent, that is left for each side of a print
+_LARGEST_PART = 4.0  # × the print: a larger part would leave no room for it
+_FLATTEST = 0.3  # × a print's greatest extent: least space for each of its sides
 
 
 def toolpath(plan: Plan, ax: Any = None, measure: str = "speed") -> Any:
-    """What is deposited, in the part frame, coloured by a measure: "speed", "sigma", "layer" or "bead".
+    """The deposited beads in the part frame, coloured by a measure.
 
-    ax: axes with projection="3d"; new ones, if none are given.
+    Args:
+        plan: The plan to draw.
+        ax: Axes with `projection="3d"`; new ones by default.
+        measure: "speed", "sigma", "layer" or "bead".
+
+    Returns:
+        The axes.
+
+    Raises:
+        InputError: If there is no such measure.
     """
     if measure not in PATH_MEASURES:
         near = nearest_name(measure, PATH_MEASURES)
@@ -336,7 +409,7 @@ def toolpath(plan: Plan, ax: Any = None, measure: str = "speed") -> Any:
     segments = np.stack([points[:-1], points[1:]], axis=1)[joined]
     lines = Line3DCollection(list(segments), cmap=MAP, linewidths=1.6)
     lines.set_array(np.minimum(values[rows][1:], values[rows][:-1])[joined])
-    if measure == "speed":  # else rounding would be stretched over all colours
+    if measure == "speed":  # otherwise rounding errors would span all colours
         commanded = float(plan.commanded.max()) * 1e3
         lines.set_clim(min(float(values[rows].min()), _SLOWER * commanded), commanded)
     part = _part(plan, points)
@@ -379,7 +452,7 @@ def _part(plan: Plan, points: Array) -> Array:
 
 
 def _look_at(ax: Any, normal: Array) -> None:
-    """From outside, where most of the print faces."""
+    """Look at the print from the outside, from where most of it faces."""
     across = float(np.hypot(normal[0], normal[1]))
     azimuth = np.degrees(np.arctan2(normal[1], normal[0])) if across > 0.15 else -60.0
     ax.view_init(elev=20.0 if abs(normal[2]) < 0.5 else 45.0, azim=azimuth + 14.0)

@@ -1,4 +1,4 @@
-"""Headroom in words and tables: whether a plan holds where the part stands a little elsewhere."""
+"""Headroom in words and tables: whether a plan holds for a slightly displaced part."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.plan.robustness import Bound, Displacement, Robustness
 
-MOST_TIMES = 10.0  # tolerances: farther than that, first order says little
-# of each placement: metric, factor, decimals
+MOST_TIMES = 10.0  # × the tolerance: beyond that, a first-order bound means little
+# for each placement: metric, factor, decimals
 TRIED_METRICS = (
     ("sigma_min", 1.0, 4),
     ("joint_limit_margin_deg", 1.0, 1),
     ("at_speed_fraction", 100.0, 2),
     ("print_time_s", 1.0, 1),
 )
-MOST_FAILURES = 5  # of placements that are told one by one on the command line
+MOST_FAILURES = 5  # placements whose failures are listed on the command line
 
 
 def robustness_words(plan: Plan) -> list[str]:
-    """Lines for the command line; none where nobody asked."""
+    """Lines for the command line; none without a tolerance."""
     room = plan.headroom
     if room is None:
         return []
@@ -77,7 +77,7 @@ def _verdict(room: Robustness) -> str:
     elsewhere = len(room.tried) - 1
     failed = sum(not each.verified for each in room.tried[1:])
     if not elsewhere:
-        return "as planned, nowhere else"
+        return "tried only as planned"
     if failed:
         return f"does not hold at {failed} of {elsewhere} placements tried"
     if not room.holds:
@@ -90,7 +90,7 @@ def _factor(bound: Bound) -> str:
 
 
 def _amounts(bound: Bound) -> tuple[str, str]:
-    """What is there, and by how much it may change."""
+    """The margin left, and by how much it may change."""
     if bound.joint:
         return f"{math.degrees(bound.room):.2f} deg", f"{math.degrees(bound.change):.2f} deg"
     return f"{bound.room:.4f}", f"{bound.change:.4f}"
@@ -103,7 +103,7 @@ def _where(bound: Bound) -> str:
 def _bound(bound: Bound) -> str:
     room, change = _amounts(bound)
     what = f"the range of {bound.joint}" if bound.joint else "the singularity margin"
-    return f"{what} holds up to {_factor(bound)} times that: room {room}, change {change} ({_where(bound)})"
+    return f"{what} holds up to {_factor(bound)} times the tolerance: room {room}, change {change} ({_where(bound)})"
 
 
 def _moved(displacement: Displacement) -> str:

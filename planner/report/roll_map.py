@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from planner.resolve.roll_map import RollMap
 
 LETTERS = ("", "R", "L", "S", "C")  # by the number of the reason
-STEPS = 249  # of a measure from 0 to its greatest; numbers from CODE on stand for reasons
+STEPS = 249  # of a measure from 0 to its greatest; numbers from CODE on encode reasons
 CODE = 250
 # key, label, unit, factor, decimals
 MEASURES = (
@@ -27,12 +27,12 @@ MEASURES = (
     ("limit", "joint range", "°", 180.0 / np.pi, 1),
 )
 HEIGHT = 300  # px
-LATTICE = (28, 10)  # letters along the path and round the circle, at most
-ROOM = 3  # places or rolls from its edge, that a letter of an area keeps
+LATTICE = (28, 10)  # letters along the path and around the circle, at most
+ROOM = 3  # places or rolls that a letter keeps from the edge of its area
 
 
 def roll_map_section(plan: Plan) -> Markup:
-    """HTML of the section; nothing where the plan has no map."""
+    """HTML of the section; empty if the plan has no map."""
     if not plan.roll_maps:
         return Markup("")
     whole = plan.roll_maps[0]
@@ -70,7 +70,7 @@ def roll_map_figures(plan: Plan) -> dict[str, Any] | None:
 
 
 def _labels(plan: Plan) -> list[str]:
-    """Of the maps: the whole print, then single beads."""
+    """Labels of the maps: the whole print, then single beads."""
     beads = [f"bead {int(each.bead[0])}, closely" for each in plan.roll_maps[1:]]
     return [f"the whole print, {counted(len(plan.beads), 'bead')}", *beads]
 
@@ -96,7 +96,7 @@ def _bytes(found: RollMap, values: Array, highest: float) -> NDArray[np.uint8]:
 
 
 def _letters(found: RollMap) -> dict[str, Any]:
-    """Where letters stand: in the middle of each area that cannot be used, and evenly over large ones."""
+    """Where letters are drawn: in the middle of each infeasible area, and evenly spread over large ones."""
     m, k = found.why.shape
     every = np.zeros((m, k), dtype=np.bool_)
     every[
@@ -119,7 +119,7 @@ def _letters(found: RollMap) -> dict[str, Any]:
 
 
 def _times(plan: Plan, found: RollMap) -> Array:
-    """When (m) the nozzle is at each place [s]."""
+    """Times (m) at which the nozzle is at each place [s]."""
     out = np.zeros(len(found.s))
     for bead in np.unique(found.bead):
         rows = np.flatnonzero(plan.deposit & (plan.bead == bead))

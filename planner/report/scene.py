@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 # ----------------------------------------------------------------------------------------------------
 # The part's surface.
 
-SUNK = 0.15e-3  # m: the part is drawn this much smaller, so that the first layer is not half sunk into it,
-SUNK_SHARE = 0.5  # or by this share of the lowest bead's height
+SUNK = 0.15e-3  # m: the part is drawn this much smaller, so that the first layer does not look half sunk into it,
+SUNK_SHARE = 0.5  # but by no more than this share of the least bead height
 
 
 def part_data(shape: Shape | None, beads: Sequence[Bead]) -> dict[str, Any] | None:
-    """Points and normals (part frame, m) and corners of the part's surface, one after the other; None without a shape."""
+    """Points and normals (part frame, m) and triangles of the part's surface, flattened; None without a shape."""
     if shape is None:
         return None
     points = shape.vertices - min(SUNK, SUNK_SHARE * _least(beads, "height")) * shape.normals
@@ -41,7 +41,7 @@ def part_data(shape: Shape | None, beads: Sequence[Bead]) -> dict[str, Any] | No
 
 
 def _least(beads: Sequence[Bead], measure: str) -> float:
-    """The least width or height of beads [m]; infinite where nobody tells it."""
+    """The least width or height of beads [m]; infinite if unknown."""
     known = (getattr(bead, measure, ()) for bead in beads)
     return min((float(np.min(each)) for each in known if len(each)), default=math.inf)
 
@@ -53,7 +53,7 @@ EVEN = 127  # steps of a component of a unit vector
 
 
 def plan_lines(plan: Plan) -> dict[str, Any]:
-    """What is laid, by time: `point`, `normal`, `sample` and `along` of the points; `first`, `bead`, `layer` of the lines."""
+    """Deposited lines by time: `point`, `normal`, `sample`, `along` of points; `first`, `bead`, `layer` of lines."""
     traj = plan.trajectory
     kept, starts = _kept_samples(plan)
     first = np.flatnonzero(starts)
@@ -69,7 +69,7 @@ def plan_lines(plan: Plan) -> dict[str, Any]:
 
 
 def bead_lines(beads: Sequence[Bead], budget: int) -> dict[str, Any]:
-    """Beads as they are planned, of which no motion is shown: `point`, `normal` and `first`."""
+    """Beads as planned, without their motion: `point`, `normal` and `first`."""
     points = np.concatenate([bead.points for bead in beads] or [np.zeros((0, 3))])
     normals = np.concatenate([bead.normals for bead in beads] or [np.zeros((0, 3))])
     last = np.cumsum([len(bead.points) for bead in beads], dtype=np.intp) - 1
@@ -85,7 +85,7 @@ def bead_lines(beads: Sequence[Bead], budget: int) -> dict[str, Any]:
 
 
 def cut_lines(lines: Sequence[Array]) -> dict[str, Any]:
-    """Lines (n, 3) of what is not printed, in the part frame: `point`, `normal` and `first`."""
+    """Lines (n, 3) that are not printed, in the part frame: `point`, `normal` and `first`."""
     points = np.concatenate(list(lines))
     first = np.concatenate([[0], np.cumsum([len(line) for line in lines])[:-1]]).astype(np.intp)
     section = {"wide": coarse(np.full(len(points), CUT_WIDTH)), "high": coarse(np.full(len(points), CUT_WIDTH))}
@@ -118,7 +118,7 @@ def _kept_samples(plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
 
 
 def _sections(beads: Sequence[Bead], bead: NDArray[np.integer[Any]], along: Array) -> dict[str, Any]:
-    """`wide` and `high` of the points that lie so far along beads (indices of them) [m]."""
+    """`wide` and `high` [m] of points, given the index of their bead and the arc length along it [m]."""
     wide, high = np.full(len(bead), DEFAULT_WIDTH), np.full(len(bead), DEFAULT_HEIGHT)
     order = np.argsort(bead, kind="stable")
     for mine in np.split(order, np.flatnonzero(np.diff(bead[order])) + 1) if len(bead) else ():
@@ -132,19 +132,19 @@ def _sections(beads: Sequence[Bead], bead: NDArray[np.integer[Any]], along: Arra
 # ----------------------------------------------------------------------------------------------------
 # Robots: their bodies, the screws that move them, and their posture over time.
 
-TOLERANCE = 0.5e-3  # m, and the narrowest bead's width: how far off the tip may be between postures that the page has
+TOLERANCE = 0.5e-3  # m: error of the tip allowed between the page's postures, at most the narrowest bead's width
 MOST_POSTURES = 60_000
-FIRST = 250  # samples between the first postures looked at; more where these would be half of the most
-LOOKS = 7  # places within a stretch where the first looks are taken
+FIRST = 250  # samples between the initial postures; more if these would be half of MOST_POSTURES
+LOOKS = 7  # places within a stretch that are checked first
 BLOCK = 65_536  # postures at once
 MOST_COLOURS = 255  # of a body
-GROWTH = 2.0  # of the tolerance, where there would be too many postures
+GROWTH = 2.0  # × the tolerance, if there would be too many postures
 
 
 def cell_data(cell: Cell, view: CellView | None) -> dict[str, Any] | None:
-    """Bodies where all joints are 0 (m, world), the joints' screws, and the two end frames there; None without bodies.
+    """Bodies with all joints at 0 (m, world), the joints' screws, and the two end frames; None without bodies.
 
-    A pose is the product of exponentials of the screws that move it, in the order given, times its frame at 0.
+    A pose is the product of exponentials of the screws that move it, in the given order, times its frame at 0.
     """
     if view is None:
         return None
@@ -179,7 +179,7 @@ def _corners(triangles: NDArray[np.int64], vertices: int) -> NDArray[Any]:
 
 
 def _painted(colours: NDArray[np.uint8]) -> dict[str, Any]:
-    """The colours of vertices (n, 3) as a `palette` of hex colours, and `paint` (n), which of them each has."""
+    """The colours of vertices (n, 3) as a `palette` of hex colours, and `paint` (n), each vertex's index in it."""
     palette, paint = np.unique(colours, axis=0, return_inverse=True)
     if len(palette) > MOST_COLOURS:
         palette, paint = colours.mean(axis=0, keepdims=True).round().astype(np.uint8), np.zeros(len(colours), dtype=int)
@@ -187,8 +187,7 @@ def _painted(colours: NDArray[np.uint8]) -> dict[str, Any]:
 
 
 def tools(plan: Plan) -> list[dict[str, Any]]:
-    """Of a print with several nozzles, from when [s] each is in use: its frame where all joints are 0, and the bodies that
-    are not there then."""
+    """With several nozzles, when [s] each comes into use, its frame with all joints at 0, and absent bodies."""
     cell, t = plan.cell, plan.trajectory
     if not cell.nozzles:
         return []
@@ -205,9 +204,9 @@ def tools(plan: Plan) -> list[dict[str, Any]]:
 
 
 def postures(cell: Cell, trajectory: Trajectory, tolerance: float = TOLERANCE) -> dict[str, Any]:
-    """Postures at so many samples that between them, joints taken as moving evenly, the tip is no further off than told.
+    """Postures at enough samples that with linearly interpolated joints the tip is off by no more than the tolerance.
 
-    `sample` (k), `q` (k, nj) row by row, and `off_mm`, the furthest that the tip is off at any sample.
+    `sample` (k), `q` (k, nj) row by row, and `off_mm`, the greatest error of the tip at any sample.
     """
     parts = [(own, rows.start, trajectory.part(rows)) for own, rows in by_nozzle(cell, trajectory.events, trajectory.t)]
     apart = max(FIRST, math.ceil(2 * len(trajectory) / MOST_POSTURES))
@@ -228,12 +227,12 @@ def postures(cell: Cell, trajectory: Trajectory, tolerance: float = TOLERANCE) -
 
 
 def _kept(cell: Cell, trajectory: Trajectory, tolerance: float, apart: int) -> tuple[Indices, float]:
-    """Samples to keep, one in `apart` of them whatever lies between, and how far off the tip is at most at others [m]."""
+    """Samples to keep, at least one in every `apart`, and the tip's greatest error at the others [m]."""
     n = len(trajectory)
     done: list[Indices] = []
     knots = np.unique(np.append(np.arange(0, n, apart), n - 1))
     a, b = knots[:-1], knots[1:]
-    while len(a):  # first only a few looks at each stretch
+    while len(a):  # first check each stretch at a few places only
         shares = np.arange(1, LOOKS + 1) / (LOOKS + 1)
         between = a[:, None] + np.round(shares * (b - a)[:, None]).astype(np.intp)
         off = _off(cell, trajectory, between.ravel(), np.repeat(a, LOOKS), np.repeat(b, LOOKS))
@@ -243,14 +242,14 @@ def _kept(cell: Cell, trajectory: Trajectory, tolerance: float, apart: int) -> t
         a, b = np.concatenate([a[far], middle]), np.concatenate([middle, b[far]])
     kept = np.sort(np.append(np.concatenate(done) if done else np.empty(0, dtype=np.intp), n - 1))
     worst, open_ = 0.0, np.ones(len(kept) - 1, dtype=bool)
-    while open_.any():  # then every sample of the stretches that were not looked at whole
+    while open_.any():  # then check every sample of the stretches that are not settled
         stretch = np.searchsorted(kept, np.arange(n), side="right") - 1
-        between = ~np.isin(np.arange(n), kept)  # a posture that is kept is where it is, whatever the tip is said to be
+        between = ~np.isin(np.arange(n), kept)  # kept postures are exact, whatever tip is recorded
         looked = np.flatnonzero(open_[np.minimum(stretch, len(open_) - 1)] & between)
         k = stretch[looked]
         off = _off(cell, trajectory, looked, kept[k], kept[k + 1])
         bad = off > tolerance
-        settled = ~np.isin(k, k[bad])  # what is halved is looked at again
+        settled = ~np.isin(k, k[bad])  # halved stretches are checked again
         worst = max(worst, float(off[settled].max(initial=0.0)))
         middles = np.unique((kept[k[bad]] + kept[k[bad] + 1]) // 2)
         halved = np.union1d(kept, middles)
@@ -260,7 +259,7 @@ def _kept(cell: Cell, trajectory: Trajectory, tolerance: float, apart: int) -> t
 
 
 def _off(cell: Cell, trajectory: Trajectory, at: Indices, a: Indices, b: Indices) -> Array:
-    """How far the tip is off at samples `at` if joints move evenly from samples a to b [m]."""
+    """Error of the tip [m] at samples `at` if joints are interpolated linearly between samples a and b."""
     out = np.empty(len(at))
     for start in range(0, len(at), BLOCK):
         rows = slice(start, start + BLOCK)
@@ -275,7 +274,7 @@ def _off(cell: Cell, trajectory: Trajectory, at: Indices, a: Indices, b: Indices
 # The whole scene, of a plan or of a refusal.
 
 EARLIER_BUDGET = 10_000  # points of beads that are there before the motion
-# From where it gets tight to the ordinary; told apart by all eyes, and none as pale as the part.
+# From tight to ordinary; distinguishable by all eyes, and none as pale as the part.
 COLOURS: list[tuple[float, str]] = [
     (0.0, "#c0272d"),
     (0.2, "#ea7a33"),
@@ -288,8 +287,8 @@ PAPER = "#ffffff"
 INK = "#1b2733"
 ALARM = "#d1495b"
 PLANNED = "#40566e"
-EARLIER = "#b9c4cf"  # beads of which no motion is shown: they were there before
-DEFAULT_WIDTH, DEFAULT_HEIGHT = 0.6e-3, 0.4e-3  # m: of a bead whose section nobody tells
+EARLIER = "#b9c4cf"  # beads shown without motion: they were there before
+DEFAULT_WIDTH, DEFAULT_HEIGHT = 0.6e-3, 0.4e-3  # m: of a bead of unknown section
 CUT_WIDTH = 0.4e-3  # m: of lines that are not printed
 
 
@@ -332,8 +331,7 @@ def failed_scene(
     view: CellView | None,
     posture: Sequence[float] | None = None,
 ) -> dict[str, Any]:
-    """Scene where there is no trajectory: all beads as planned, the failed one in red, the robots in a posture, or else at
-    their start."""
+    """Scene without a trajectory: beads as planned, the failed one in red, robots in a posture or at their start."""
     look = {"round": _round(beads)}
     others = [bead for k, bead in enumerate(beads) if k != failed]
     still = [bead_lines(others, SCENE_BUDGET) | look | {"colour": PLANNED}]
@@ -359,5 +357,5 @@ def failed_scene(
 
 
 def _round(beads: Sequence[Bead]) -> bool:
-    """Whether they are struts in space."""
+    """Whether any of the beads are struts in space."""
     return any(bead.round for bead in beads)

@@ -1,4 +1,4 @@
-"""The summary table on stdout: the chosen strategy beside the baseline."""
+"""The summary table on stdout: the chosen strategy next to the baseline."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ ROWS = tuple(metric for key in SHOWN for metric in METRICS if metric.key == key)
 def print_summary(
     plan: Plan, folder: Path, programs: str = "", program_notes: Sequence[str] = (), forecast: Sequence[str] = ()
 ) -> None:
-    """Print verdict, summary table, notes, failed checks, programs with what controllers will make of them, and the folder."""
+    """Print summary table, notes, forecasts of controllers, failed checks, verdict, programs and folder."""
     out = Console(highlight=False)
     m = plan.metrics
     size = f"{counted(m['beads'], 'bead')}, {counted(m['layers'], 'layer')}, {m['deposited_length_mm'] / 1e3:.2f} m"
@@ -81,7 +81,7 @@ def print_summary(
     out.print(table)
     notes = [f"note: {note}" for note in plan.toolpath.notes]
     if plan.resolved_by not in ("", plan.strategy):
-        notes.append(f"note: the paths of strategy {plan.resolved_by} print better here, and were taken")
+        notes.append(f"note: the paths of strategy {plan.resolved_by} print better here and were used")
     notes += [f"note on the RAPID program: {note}" for note in program_notes]
     told = "; ".join(program_notes)
     notes += [f"forecast: {sentence}" for sentence in forecast if sentence.removeprefix("WARNING: ") not in told]
@@ -114,18 +114,18 @@ def print_summary(
 
 
 def _dips(plan: Plan) -> str:
-    """How many dips there are, what they cost, and the dearest of them; empty without any."""
+    """The number of dips, their cost, and the costliest of them; empty without any."""
     dips = without_stops(plan.dips)
     if not dips:
         return ""
     worst = worst_first(dips)[0]
     lost = sum(dip.lost for dip in dips)
     count = "1 dip costs" if len(dips) == 1 else f"{len(dips)} dips cost"
-    return f"{count} {lost:.2f} s; the dearest: {place_words(worst)}, {worst.speed * 1e3:.1f} mm/s, {worst.cause}"
+    return f"{count} {lost:.2f} s; the costliest: {place_words(worst)}, {worst.speed * 1e3:.1f} mm/s, {worst.cause}"
 
 
 def _advice(plan: Plan) -> str:
-    """What would help most, and what it was tried on; empty where nothing was found."""
+    """What would help most, and what it was tried on; empty if nothing was found."""
     if not plan.advice:
         return ""
     changes = "; or ".join(each.words for each in plan.advice[:MOST_ADVISED])

@@ -1,4 +1,4 @@
-"""Fills the templates beside this file (*.html): every value is escaped, unless it was made by a template itself."""
+"""Fills the templates next to this file (*.html): every value is escaped, unless a template made it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planner.report.wording import CHECK_NAMES, METRICS, MISSING, counted, numbe
 
 
 def render(template: str, /, **values: Any) -> Markup:
-    """HTML of the template `template`.html with these values; a value that is missing there is an error of the template's."""
+    """HTML of the template `template`.html with these values; a value missing from them is an error."""
     return Markup(_environment().get_template(f"{template}.html").render(values))
 
 
@@ -33,7 +33,7 @@ def _environment() -> Environment:
 
 
 def _mm(lengths: Sequence[float], digits: int) -> str:
-    """Lengths [m] in millimetres, one after the other."""
+    """Lengths [m] in millimetres, separated by commas."""
     return ", ".join(f"{1e3 * length:.{digits}f}" for length in lengths)
 
 

@@ -1,4 +1,4 @@
-"""Fewer points for the eye, with every extreme kept: a stride would hide exactly the dips that matter.
+"""Fewer points for display, with every extreme kept: a stride would hide exactly the dips that matter.
 
 Budgets (points): a curve over time gets CURVE_BUDGET, all beads of a 3-D scene together SCENE_BUDGET. With
 plotly.js (4.8 MB) that keeps the report below 8 MB for any number of samples.
@@ -37,12 +37,12 @@ def stretches(mask: NDArray[np.bool_], label: NDArray[np.integer] | None = None)
 
 
 def keep_minima(signals: Sequence[Array], budget: int, always: Indices) -> Indices:
-    """Indices (sorted, unique) of at most `budget` samples, or of `always` alone where that is more.
+    """Indices (sorted, unique) of at most `budget` samples, or of `always` alone if there are more of these.
 
-    signals  each (n,): where it is smallest in a bucket of neighbours, the sample stays. Pass -y to keep maxima.
+    signals  each (n,): the sample where it is smallest in a bucket of neighbours is kept. Pass -y to keep maxima.
              NaN never counts as smallest unless a bucket holds nothing else.
-    always   samples that stay in any case (ends of lines)
-    Buckets hold equally many samples, so every signal's smallest value of all is kept exactly.
+    always   samples that are kept in any case (ends of lines)
+    Buckets cover all samples, so every signal's global minimum is kept exactly.
     """
     n = len(signals[0])
     if n <= budget:
@@ -83,5 +83,5 @@ def turning(points: Array, first: Indices, last: Indices) -> Array:
 
 
 def with_gaps(values: Array, breaks: Indices) -> Array:
-    """Put a NaN before each of the positions `breaks`, so that lines end there; float32 is plenty for the screen."""
+    """Insert a NaN before each of the positions `breaks`, so that lines end there; float32 is plenty for a screen."""
     return np.insert(np.asarray(values, dtype=np.float32), breaks, np.nan)

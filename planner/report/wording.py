@@ -1,4 +1,4 @@
-"""Words of the report: metrics with human labels and units, numbers as people read them."""
+"""Words of the report: metrics with readable labels and units, numbers as people read them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from planner.plan import Plan
 
 MISSING = "–"
-FARTHEST = 50.0  # mm: the verifier looks no farther for what comes near, so that a distance of as much is a bound
-STRAIGHTEST = 10_000.0  # mm: the verifier tells no larger radii of steering apart
+FARTHEST = 50.0  # mm: the verifier searches no farther for close bodies, so this distance is a lower bound
+STRAIGHTEST = 10_000.0  # mm: the verifier does not distinguish larger steering radii
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class MetricLabel:
     limit: float = math.inf
 
 
-OVER_IDEAL, OVER_BOUND = "deposition_over_ideal", "deposition_over_bound"  # ratios made here, of metrics
-# One name for a figure wherever it is shown; where a check judges it, the name of that check.
+OVER_IDEAL, OVER_BOUND = "deposition_over_ideal", "deposition_over_bound"  # ratios of metrics, computed here
+# One name for a figure wherever it is shown; if a check judges it, the name of that check.
 METRICS = (
     MetricLabel("at_speed_fraction", "length at commanded speed (±2 %)", "%", 2, 100, "up"),
     MetricLabel("speed_min_mm_s", "slowest in deposition", "mm/s", 2, better="up"),
@@ -80,7 +80,7 @@ METRICS = (
 )
 
 RECORD = "record"
-# What is judged, by what it is about: names of metrics and checks. What stands in none is about the record.
+# What is judged, by subject: names of metrics and checks. Those in no group are about the record.
 GROUPS = {
     "speed and time": (
         "length at commanded speed (±2 %)",
@@ -190,13 +190,13 @@ GROUPS = {
     ),
 }
 
-WHOLE = 1e7  # numbers below that are written without an exponent
+WHOLE = 1e7  # smaller numbers are written without an exponent
 
 CHECK_NAMES = str.maketrans("_", " ")
 
 
 def with_ratios(metrics: Mapping[str, float]) -> dict[str, float]:
-    """Metrics, and how the deposition time compares with what it would be at best, where both are known."""
+    """Metrics, with the ratios of the deposition time to its ideal and its bound, where known."""
     out = dict(metrics)
     for ratio, best in ((OVER_IDEAL, "ideal_deposition_time_s"), (OVER_BOUND, "bound_deposition_time_s")):
         if out.get(best, 0.0) > 0.0 and "deposition_time_s" in out:
@@ -205,7 +205,7 @@ def with_ratios(metrics: Mapping[str, float]) -> dict[str, float]:
 
 
 def number(value: float | None, digits: int) -> str:
-    """A number with `digits` decimals and thousands apart; tiny but not zero is said to be so."""
+    """A number with `digits` decimals and separated thousands; a tiny nonzero one is shown as a bound."""
     if value is None or math.isnan(value):
         return MISSING
     if math.isinf(value):
@@ -216,7 +216,7 @@ def number(value: float | None, digits: int) -> str:
 
 
 def distance(key: str, value: float, digits: int) -> str:
-    """A metric's value; a distance of bodies or a radius [mm] as far as the verifier looks is told as the bound that it is."""
+    """A metric's value; a distance or radius [mm] at the limit of the verifier's search is shown as a bound."""
     bound = key.endswith("clearance_min_mm") and key != "tip_clearance_min_mm" and value >= FARTHEST
     bound |= key == "steering_radius_min_mm" and value >= STRAIGHTEST
     return f"≥\u2009{number(value, digits)}" if bound else number(value, digits)
@@ -228,19 +228,20 @@ def counted(count: float, one: str) -> str:
 
 
 def resumed_words(plan: Plan) -> str:
-    """What a plan of a resumed print leaves out, which nozzle it goes on with, where they are exchanged, and which pause
-    comes before its start."""
+    """What a resumed print leaves out, its first nozzle if they are exchanged, and the pause before its start."""
     last = plan.first_bead - 1
     before = "bead 0" if last == 0 else f"beads 0 to {last}"
     nozzle = f", {plan.begins_with} on the flange" if plan.begins_with else ""
     pause = plan.pause_left_out
     words = "before the start, as in the pause before layer"
     left = "" if pause is None else f"; {words} {pause.before_layer}: {pause.what}"
-    return f"resumed at bead {plan.first_bead} of {len(plan.toolpath.beads)}, {before} taken to be there{nozzle}{left}"
+    return (
+        f"resumed at bead {plan.first_bead} of {len(plan.toolpath.beads)}, {before} assumed to be printed{nozzle}{left}"
+    )
 
 
 def significant(value: float, digits: int = 4) -> str:
-    """A number with `digits` significant digits, below ten million with all before its point: without a needless exponent."""
+    """A number with `digits` significant digits, without an exponent if it is below ten million."""
     if math.isnan(value) or math.isinf(value):
         return number(value, 0)
     text = f"{value:.{digits}g}"

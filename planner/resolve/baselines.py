@@ -1,4 +1,4 @@
-"""Strategies to compare with: fixed, greedy. What papers did is in `published.py`."""
+"""Strategies for comparison: fixed and greedy. What papers did is in `published.py`."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from planner.toolpath.task import NozzleTask
 
 @with_each_nozzle
 def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
-    """The best constant roll for the whole print, and for it the best constant table angle and branch per bead.
+    """The best constant roll for the whole print and, with it, the best constant table angle and branch for each bead.
 
-    Best is what the ladder's prices add up to; beads that repeat from layer to layer share their choice.
+    Best by the sum of the ladder's prices; beads that repeat from layer to layer share their choice.
     """
     guides, of = guides_of(tasks)
     demand, nodes = coarse_nodes(cell, guides, settings)
@@ -60,8 +60,8 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
 
 
 def _held_price(nodes: Nodes, demand: SampledTasks, limits: Limits, task: int) -> Array:
-    """Price (rolls, holders, branches) [s] of holding each node all along a task, with the time lost where a joint is too
-    slow; infinite where one would have to jump, or to turn further than its range."""
+    """Price (rolls, holders, branches) [s] of holding each node all along a task, with the time lost where a joint is
+    too slow; infinite where one would have to jump, or to turn further than its range."""
     rungs = demand.rungs_of(task)
     total = nodes.price[rungs].sum(axis=0)
     step = np.diff(nodes.q[rungs], axis=0).astype(float)
@@ -72,14 +72,14 @@ def _held_price(nodes: Nodes, demand: SampledTasks, limits: Limits, task: int) -
     total[(np.abs(step) > JUMP).any(axis=(0, 4))] = np.inf
     along = np.cumsum(np.concatenate([nodes.q[rungs][:1].astype(float), step]), axis=0)[..., wraps]
     least, most = limits.q_min[: len(wraps)][wraps] + MARGIN, limits.q_max[: len(wraps)][wraps] - MARGIN
-    turns = TURN * np.ceil((least - along.min(axis=0)) / TURN)  # that bring the lowest angle into the range
+    turns = TURN * np.ceil((least - along.min(axis=0)) / TURN)  # to bring the lowest angle into the range
     total[(along.max(axis=0) + turns > most).any(axis=3)] = np.inf
     return np.asarray(total)
 
 
 @with_each_nozzle
 def greedy(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
-    """Always the next best candidate on the ladder's coarse grid, never looking further."""
+    """Always the next best candidate on the ladder's coarse grid, never looking ahead."""
     demand, nodes = coarse_nodes(cell, tasks, settings)
     route, stuck = greedy_route(nodes, demand, cell.limits)
     if route is None:

@@ -1,19 +1,20 @@
-"""A lower bound of the deposition time over all choices, not only along the joint paths that were found.
+"""A lower bound on the deposition time over all choices, not only along the joint paths that were found.
 
-Whatever roll, chosen joints and branch are at a place of the path, and however fast they change there, the joints' limits
-on speed and acceleration leave a greatest speed along the path. No plan with an upright nozzle is faster anywhere, so the
-time at these speeds bounds the time of all plans from below. Nothing is asked of the way from one place to the next, of
-jerk, clearance or singularities: all these only take more time.
+Whatever the roll, chosen joints and branch at a place of the path, and however fast they change there, the joints'
+limits on speed and acceleration imply a greatest speed along the path. No plan with an upright nozzle is faster
+anywhere, so the time at these speeds bounds the time of all plans from below. The motion from place to place, jerk,
+clearance and singularities are not considered: they can only cost more time.
 
-With u the speed over the commanded one, f the rates of roll and chosen joints, twists about the nozzle's tip and G the
-Jacobian of arm less that of holder, a posture moves with
+Let u be the speed over the commanded one, f the rates of roll and chosen joints, and G the Jacobian of the arm minus
+that of the holder, with twists about the nozzle's tip. A posture then moves with
 
     G q'  = u X + f_roll Z
     G q'' = u' X + f_roll' Z + d(u, f),    d quadratic in (u, f)
 
-X is the path's twist, Z the nozzle's axis. u' and f' are free, so they are projected away, and four rows are left, in which
-what |q''| <= a_max can reach is a zonotope: a facet is a linear condition on d (see `_facets`). The speeds that allow a
-given u are a polytope in f, which is looked at in cells, each with what its width may give away; so nothing is missed.
+X is the path's twist, Z the nozzle's axis. u' and f' are free, so they are projected away. In the four rows that
+remain, what |q''| <= a_max can reach is a zonotope, each facet of which is a linear condition on d (see `_facets`). The
+rates f that allow a given u are a polytope. It is checked in cells, each with a tolerance for its width, so nothing is
+missed.
 """
 
 from __future__ import annotations
@@ -36,32 +37,27 @@ from planner.resolve.joint_path import sample_tasks
 from planner.resolve.reach import arm_numbers, flange_pose, nearest_turns
 from planner.toolpath.task import NozzleTask
 
-MOST_WAYPOINTS = 20_000  # of a print whose bound is found: a second or two
-MOST_CHOSEN = 3  # joints that are chosen, of a cell whose bound is found; cells of more rates would be too many
-_ROLLS = 24  # that are looked at, all round; the best ones are moved between them
-_ANGLES = (24, 8, 5)  # that are looked at of one, two or three chosen joints, each
-_FEW = 64  # poses beside the last good one that are tried first
-_SCANS = 30_000  # poses of all hard samples together that are looked at; what is left counts as at full speed
-_ANY_RUNG = 0.1  # m between rungs, which are not looked at
-_BLOCK = 64  # samples that follow each other and are looked at together
-_CELLS = (
-    33,
-    13,
-    7,
-    5,
-)  # of the rates of roll and of each chosen joint, by how many of these there are besides the roll
+MOST_WAYPOINTS = 20_000  # waypoints of a print for which the bound is computed: a second or two
+MOST_CHOSEN = 3  # chosen joints of a cell for which it is computed: with more rates there would be too many cells
+_ROLLS = 24  # rolls tried, all the way round; the best ones are then moved between them
+_ANGLES = (24, 8, 5)  # angles tried of each chosen joint, if there are one, two or three of them
+_FEW = 64  # poses, from the last good one on, that are tried first
+_SCANS = 30_000  # poses tried at all hard samples together; samples that are left out count as at full speed
+_ANY_RUNG = 0.1  # m between rungs, which play no part here
+_BLOCK = 64  # consecutive samples that are processed together
+_CELLS = (33, 13, 7, 5)  # cells of each rate, of roll and chosen joints, by the number of chosen joints
 _STARTS = 12  # best poses that are moved off the grid
-_NEAR = 0.9  # of the best speed: less is not moved
+_NEAR = 0.9  # share of the best speed: poses below it are not moved
 _CLIMBS = 5  # halvings of the grid's steps
-_HALVINGS = 9  # of the interval in which the greatest speed is sought; its upper end counts
-_LEAST = 1e-3  # of the commanded speed: the least that counts
-_BETWEEN = 1.01  # times the speed found: what may be missed between the last steps
-_FLAT = 1e-10  # of a facet's normal or reach: less is rounding
+_HALVINGS = 9  # bisections of the interval in which the greatest speed is sought; its upper end is the result
+_LEAST = 1e-3  # share of the commanded speed: lower speeds count as this
+_BETWEEN = 1.01  # × the speed found, for what may be missed between the last steps
+_FLAT = 1e-10  # normals and reaches of facets below this are rounding
 
 
 class PathNumbers(NamedTuple):
-    """Samples (n): tip (n, 3), frames (n, 3, 3), and, about the tip in the part frame at the commanded speed, the twist of
-    the nozzle (n, 6) and its time derivative (n, 6), linear rows first."""
+    """Samples (n): tip (n, 3), frames (n, 3, 3), and, about the tip in the part frame at the commanded speed, the twist
+    of the nozzle (n, 6) and its time derivative (n, 6), linear rows first."""
 
     tip: Array
     frames: Array
@@ -70,10 +66,10 @@ class PathNumbers(NamedTuple):
 
 
 class CellNumbers(NamedTuple):
-    """The holder's chain, as in `Chain`, and of all joints, the arm's na then the holder's, the limits (nj).
+    """The holder's chain, as in `Chain`, and the limits (nj) of all joints, the arm's na, then the holder's.
 
-    chosen (m)                  joints (indices) that are chosen; cells (1 + m): into how many the rates of roll and of
-                                each of these are divided
+    chosen (m)                  indices of the chosen joints; cells (1 + m): numbers of cells into which the rates of
+                                roll and of each of these are divided
     triples (k, 3), tuples (l, 2 + m)   joints that span a facet of the accelerations, and of the speeds
     """
 
@@ -92,7 +88,7 @@ class CellNumbers(NamedTuple):
 
 
 class BoundRoom(NamedTuple):
-    """Room for one thread, filled anew at each pose."""
+    """Scratch for one thread, refilled at each pose."""
 
     postures: Array
     ok: NDArray[np.bool_]
@@ -127,7 +123,7 @@ def _room(na, nh, m, facets, branches):
 
 @inner_njit
 def _bracket(V, W, factor, out) -> None:
-    """Add factor times the change of a screw W (6) that moves with a twist V (6) to out (6); linear rows first."""
+    """Add to out (6) factor times the rate of a screw W (6) that moves with a twist V (6); linear rows first."""
     for k in range(3):
         a, b = (k + 1) % 3, (k + 2) % 3
         out[k] += factor * (V[3 + a] * W[b] - V[3 + b] * W[a] + V[a] * W[3 + b] - V[b] * W[3 + a])
@@ -138,7 +134,7 @@ def _bracket(V, W, factor, out) -> None:
 def _normal(rows, size, A, out) -> bool:
     """Fill out (size) with a vector at right angles to the first size - 1 rows; False where they span less.
 
-    A (size, size) is room.
+    A (size, size) is scratch.
     """
     last = size - 1
     for i in range(last):
@@ -174,7 +170,7 @@ def _normal(rows, size, A, out) -> bool:
 
 @inner_njit
 def _bend(x, nj, na, X, X1, Z, turned, room, out) -> None:
-    """Fill out (6) with d of the rates x = (u, roll, chosen ...), see the head of this file."""
+    """Fill out (6) with d at the rates x = (u, roll, chosen ...), see the module's docstring."""
     G, e, V, W = room.G, room.e, room.small[0], room.small[1]
     for k in range(6):
         out[k] = x[0] * x[0] * X1[k] + x[0] * x[1] * turned[k]
@@ -188,7 +184,7 @@ def _bend(x, nj, na, X, X1, Z, turned, room, out) -> None:
             V[k] += rate * G[j, k]
     for k in range(6):
         V[k] = 0.0
-    for j in range(na, nj):  # whose columns in G are reversed
+    for j in range(na, nj):  # their columns in G have the opposite sign
         rate = 0.0
         for a in range(x.size):
             rate += x[a] * e[a, j]
@@ -202,7 +198,7 @@ def _bend(x, nj, na, X, X1, Z, turned, room, out) -> None:
 
 @inner_njit
 def _rates(cell, arm, X, Z, room) -> bool:
-    """Fill room.e (1 + m, nj): how fast the joints turn for u = 1, roll = 1, and each chosen joint; False if singular."""
+    """Fill room.e (2 + m, nj): rates of the joints for u = 1, roll = 1, and each chosen joint; False if singular."""
     G, e, Ji = room.G, room.e, room.Ji
     solved, chosen, nj = arm.solved, cell.chosen, len(cell.velocity)
     for j in range(6):
@@ -226,8 +222,10 @@ def _rates(cell, arm, X, Z, room) -> bool:
 
 @inner_njit
 def _speed_limit(cell, room) -> float:
-    """The greatest u that the joints' speeds allow, over all rates of roll and chosen joints: of the joints' rates u e0 +
-    sum f e, those weighted so that f drops out bound u."""
+    """The greatest u that the joints' speeds allow, over all rates of roll and chosen joints.
+
+    Sums of joints' rates u e0 + sum f e, weighted so that f drops out, bound u.
+    """
     e, v, rows, weights, A = room.e, cell.velocity, room.small[4:9], room.small[9], room.A
     size = cell.tuples.shape[1]
     least = np.inf
@@ -249,10 +247,10 @@ def _speed_limit(cell, room) -> float:
 
 @inner_njit
 def _facets(cell, X, X1, Z, na, room) -> int:
-    """Fill room.facets (k, 1 + m, 1 + m), upper triangles: |sum x_a x_b facet| <= 1 of the rates x = (u, roll, chosen).
+    """Fill room.facets (k, 2 + m, 2 + m), upper triangles: |sum x_a x_b facet| <= 1 of the rates x = (u, roll, chosen).
 
-    What G q'' leaves in the four rows without u' and roll' is the sum of a column for each joint, each times at most
-    its a_max: a facet is spanned by three of them, and reaches as far along its normal as all of them together.
+    In the four rows without u' and roll', G q'' is the sum of a column for each joint, times at most its a_max. A facet
+    is spanned by three of these columns, and is as far out along its normal as all of them reach together.
     """
     G, h, M, facets, small, a_max = room.G, room.h, room.M, room.facets, room.small, cell.acceleration
     nj, size = len(a_max), 2 + len(cell.chosen)
@@ -272,7 +270,7 @@ def _facets(cell, X, X1, Z, na, room) -> int:
             _bend(rates, nj, na, X, X1, Z, turned, room, h[a, b])
             for k in range(6):
                 h[a, b, k] -= h[a, a, k] + h[b, b, k]
-    # rows at right angles to X and Z, by Gram and Schmidt from the axes that are least along them
+    # rows at right angles to X and Z, by Gram-Schmidt from the coordinate axes
     Q = room.world
     count = 0
     for given in range(8):
@@ -337,7 +335,7 @@ def _facets(cell, X, X1, Z, na, room) -> int:
 
 @inner_njit
 def _beyond(facet, x, half) -> bool:
-    """Whether no rates within `half` of x, whose first is exact, keep to a facet."""
+    """Whether all rates within `half` of x (the first one exact) are beyond a facet."""
     size = x.size
     value, room = 0.0, 0.0
     for a in range(size):
@@ -354,7 +352,10 @@ def _beyond(facet, x, half) -> bool:
 
 @inner_njit
 def _allowed(u, cell, most, facets, n, room, last) -> bool:
-    """Whether any rates of roll and chosen joints, each at most `most`, allow u; last (1): the facet that told last time."""
+    """Whether any rates of roll and chosen joints, each at most `most`, allow u.
+
+    last (1): the facet that ruled it out last time
+    """
     e, v = room.e, cell.velocity
     size = 2 + len(cell.chosen)
     x, half = room.small[2][:size], room.small[3][:size]
@@ -393,8 +394,8 @@ def _allowed(u, cell, most, facets, n, room, last) -> bool:
 
 @inner_njit
 def _greatest(i, roll, angles, floor, arm, cell, path, room, last) -> float:
-    """The greatest u at sample i, at most 1, over all branches at a roll and angles (m) of chosen joints; -1 if it is below
-    `floor` or there is no posture."""
+    """The greatest u at sample i, at most 1, over all branches at a roll and angles (m) of chosen joints; -1 if it is
+    below `floor` or there is no posture."""
     na, nh = len(arm.placements), len(cell.placements)
     nj, T, G, chosen = na + nh, room.T, room.G, cell.chosen
     q = np.zeros(nj)
@@ -420,7 +421,7 @@ def _greatest(i, roll, angles, floor, arm, cell, path, room, last) -> float:
             a, b = (r + 1) % 3, (r + 2) % 3
             X[k] += T[0][k, r] * twist[r]
             X[3 + k] += T[0][k, r] * twist[3 + r]
-            # about a place that stays where it is, not about the tip
+            # about a fixed point, not about the moving tip
             X1[k] += T[0][k, r] * (rate[r] - twist[3 + a] * twist[b] + twist[3 + b] * twist[a])
             X1[3 + k] += T[0][k, r] * rate[3 + r]
     if nh > 0:
@@ -437,7 +438,7 @@ def _greatest(i, roll, angles, floor, arm, cell, path, room, last) -> float:
         away = nearest_turns(room.postures[branch], middle[:na], cell.q_min[:na], cell.q_max[:na], cell.turns[:na])
         if away < -_FLAT:
             continue
-        done = branch // 2  # turned over, a spherical wrist has the same axes
+        done = branch // 2  # a flipped spherical wrist has the same axes
         chain_state(
             arm.placements, arm.axes, arm.T_last_tip, room.postures[branch], origins[:na], directions[:na], T[3]
         )
@@ -492,15 +493,17 @@ def _at(index, rolls, lattice, angles) -> float:
 
 @njit
 def at_full_speed(samples, few, arm, cell, path, rolls, lattice, good) -> None:
-    """Fill good (k) for samples (k): the index of a pose that allows the commanded speed, -1 where none of the `few` poses
-    after the one before does."""
+    """Fill good (k) for samples (k): the index of a pose that allows the commanded speed, or -1.
+
+    Tries the `few` poses from the last good one on.
+    """
     m = lattice.shape[1]
     room = _room(len(arm.placements), len(cell.placements), m, len(cell.triples), branches_of(arm.kind))
     poses, now, last, angles = rolls * len(lattice), 0, np.zeros(1, dtype=np.int64), np.empty(m)
     for k in range(samples.size):
         good[k] = -1
         for step in range(min(few, poses)):
-            # of many angles of chosen joints some are tried everywhere
+            # if there are many angles of chosen joints, try some from all over
             index = (now + step + (step // rolls) * rolls * max(len(lattice) // 7, 0)) % poses
             roll = _at(index, rolls, lattice, angles)
             if _greatest(samples[k], roll, angles, 1.0, arm, cell, path, room, last) >= 1.0:
@@ -560,16 +563,16 @@ def greatest_rates(samples, arm, cell, path, rolls, lattice, steps, rates) -> No
 
 
 def bound_any_path(cell: Cell, tasks: Sequence[NozzleTask]) -> float:
-    """Time [s] that deposition takes at least, whatever roll, chosen joints and branch are anywhere on the path.
+    """Least time [s] that deposition takes, whatever the roll, chosen joints and branch anywhere on the path.
 
-    The nozzle stands on the surface: not for tasks that may tilt it. No less than the length over the commanded speed.
-    Of a cell with at most MOST_CHOSEN chosen joints.
+    The nozzle is taken to be upright: not for tasks that may tilt it. For cells with at most MOST_CHOSEN chosen joints.
+    Never less than the length over the commanded speed.
     """
     return sum(_bound_of(own, [tasks[i] for i in which]) for own, which in nozzles_of(cell, tasks))
 
 
 def _bound_of(cell: Cell, tasks: Sequence[NozzleTask]) -> float:
-    """The same of tasks of the nozzle that is in use."""
+    """The same for the tasks of the nozzle in use."""
     demand = sample_tasks(tasks, _ANY_RUNG)
     lattice, steps = _lattice(cell)
     arm, numbers = arm_numbers(cell), _cell_numbers(cell)
@@ -594,13 +597,13 @@ def _bound_of(cell: Cell, tasks: Sequence[NozzleTask]) -> float:
     for task in tasks:
         own = rates[offset + task.first : offset + task.last + 1]
         time = np.diff(task.s[task.first : task.last + 1]) / task.speed
-        total += float((time / np.maximum(own[1:], own[:-1])).sum())  # the speed between two samples is that of either
+        total += float((time / np.maximum(own[1:], own[:-1])).sum())  # between samples, the faster one's
         offset += len(task)
     return total
 
 
 def _within_budget(hard: Ints, poses: int) -> Ints:
-    """Of hard samples as many blocks, evenly chosen, as may be looked at."""
+    """As many blocks of the hard samples, evenly chosen, as the budget allows."""
     blocks, most = -(-len(hard) // _BLOCK), max(_SCANS // (poses * _BLOCK), 1)
     if blocks <= most:
         return hard
@@ -609,7 +612,7 @@ def _within_budget(hard: Ints, poses: int) -> Ints:
 
 
 def _lattice(cell: Cell) -> tuple[Array, Array]:
-    """Angles (p, m) of the chosen joints that are looked at, and the steps (1 + m) of roll and of each."""
+    """Angles (p, m) of the chosen joints to try, and the steps (1 + m) of roll and of each joint."""
     m = len(cell.chosen)
     each, steps = [], [2.0 * np.pi / _ROLLS]
     for joint in cell.chosen:

@@ -1,6 +1,6 @@
 """Prints with several nozzles: the beads of each are searched in the cell that has it in use.
 
-Between beads of two nozzles the arm goes home, so that neither search has to know of the other.
+Between beads of two nozzles the arm goes home, so neither search has to know about the other.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Search = TypeVar("Search", bound=Callable[..., tuple[Any, ...]])
 
 
 def nozzles_of(cell: Cell, items: Sequence[NozzleTask | JointPath]) -> Iterator[tuple[Cell, list[int]]]:
-    """For each nozzle that is used, the cell that has it in use, and the beads (indices) that it lays."""
+    """For each nozzle of the print, the cell that has it in use and the beads (indices) that it lays."""
     materials = [item.material if isinstance(item, NozzleTask) else item.task.material for item in items]
     if not cell.nozzles:
         yield cell, list(range(len(items)))
@@ -30,10 +30,10 @@ def nozzles_of(cell: Cell, items: Sequence[NozzleTask | JointPath]) -> Iterator[
 
 
 def with_each_nozzle(search: Search) -> Search:
-    """A search of a result for each bead, made for prints with several nozzles.
+    """Extend a search, which returns a result for each bead, to prints with several nozzles.
 
-    search: (cell, tasks or paths, …) → a result for each; obstacles among its further arguments, by place or by name, are
-    those of the cell, and become those of each nozzle's.
+    search: (cell, tasks or paths, …) → a result for each. Obstacles among its other arguments, positional or by name,
+    are those of the cell, and become those of each nozzle's cell.
     """
 
     @wraps(search)

@@ -9,16 +9,16 @@ from planner.base.compiled import inner_njit, njit
 # ----------------------------------------------------------------------------------------------------
 # Compiled kernels on directions that must stay within a cone about the vertical.
 #
-# Where a direction leans is a vector in the plane, as long as the angle: nearly linear in the joints, where the cosine of
-# the angle is flat. A cone is a circle there, and a polygon around it in a quadratic program.
+# The lean of a direction is a vector in the plane whose length is the angle: nearly linear in the joints, whereas the
+# cosine of the angle is flat. A cone is a circle in that plane, and in a quadratic program a polygon around it.
 
-# rad, of the polygon around a cone, from where the direction leans: dense there, since a step along a facet leaves the
-# circle by the square of its length
+# Facets of the polygon around a cone [rad], from where the direction leans: dense there, since a step along a facet
+# leaves the circle by the square of its length.
 FACETS = np.radians([0.0, 1.5, -1.5, 4.5, -4.5, 10.0, -10.0, 22.0, -22.0, 50.0, -50.0, 110.0, -110.0, 180.0])
-FIRST_FACETS = 3  # of those, that the program may watch from the start
+FIRST_FACETS = 3  # facets, from the first one on, that the program may watch from the start
 NEAR_LEAN = 0.85  # share of a cone's angle above which the program watches a facet from the start
-MISSED_LEAN = 1e-5  # rad beyond a cone that the program must go before it watches a facet too
-_LEVEL = 1e-7  # sine of an angle to the vertical below which it has no direction
+MISSED_LEAN = 1e-5  # rad that a step must exceed a cone by before the program watches another facet
+_LEVEL = 1e-7  # sine of the angle to the vertical, below which the lean has no direction
 
 
 @inner_njit
@@ -32,7 +32,7 @@ def lean_of(d, lean) -> None:
     else:
         lean[0], lean[1] = d[0], d[1]
         if d[2] < 0.0:
-            lean[0] = np.pi  # upside down, whatever way
+            lean[0] = np.pi  # upside down, in any direction
 
 
 @inner_njit
@@ -61,7 +61,7 @@ def facet(lean, k: int):
 
 @njit
 def watch_leans(step, lean, cones, watch) -> None:
-    """Mark in watch (n, b, facets) the facets that leans (n, b, 2) are near, of cones (b) [rad]."""
+    """Mark in watch (n, b, facets) the facets of cones (b) [rad] that leans (n, b, 2) are close to."""
     for i in range(len(lean)):
         for c in range(cones.size):
             for k in range(FIRST_FACETS):
@@ -119,7 +119,7 @@ def square(M, out) -> None:
     trace = 0.0
     for a in range(6):
         for b in range(a, 6):
-            # written out, for a processor adds three numbers at once, but not to each other
+            # written out as two sums of three products, which do not wait for each other
             x = M[a, 0] * M[b, 0] + M[a, 1] * M[b, 1] + M[a, 2] * M[b, 2]
             out[a, b] = x + (M[a, 3] * M[b, 3] + M[a, 4] * M[b, 4] + M[a, 5] * M[b, 5])
             out[b, a] = out[a, b]
@@ -153,10 +153,10 @@ def to_unit(u) -> float:
 
 @inner_njit
 def sigma_slope_by_joints(J, u, v, before, after, slope) -> None:
-    """Fill slope (na) with d sigma / dq_k = u^T (dJ/dq_k) v, where v (na) is of unit length; before, after (6) are room.
+    """Fill slope (na) with d sigma / dq_k = u^T (dJ/dq_k) v, with v (na) of unit length; before, after (6): scratch.
 
-    Turning joint k moves what comes after it: d_k x columns k and later, while column k moves its own lever as joints
-    before it turn. Sums over both sides of k make that linear in the number of joints.
+    Turning joint k moves everything after it: d_k x columns k and later, while column k moves its own lever as joints
+    before it turn. Running sums from both sides of k make this linear in the number of joints.
     """
     na = v.size
     for a in range(6):

@@ -1,6 +1,7 @@
-"""Postures drawn at random at one place of a path: the cheapest look at whether anything could pass there at all.
+"""Postures drawn at random at one place of a path: the cheapest check of whether anything could pass there at all.
 
-A search tries a grid all along; one place at which nothing drawn is clear ends every search, whatever its grid.
+A search tries a grid all along a path; one place at which no drawn posture is clear ends every search, whatever its
+grid.
 """
 
 from __future__ import annotations
@@ -18,16 +19,16 @@ from planner.resolve.joint_path import flange_poses, turned_to_middle, upright
 from planner.resolve.reach import looked_at
 from planner.toolpath.task import NozzleTask
 
-PLACES = 48  # spread over a print that are looked at besides the one where a search ended
-FEW, DRAWN = 150, 4_000  # rolls and angles of one joint drawn at each, each with all branches of the arm;
-_EACH, _MOST_DRAWN = 4, 64_000  # so many times more for each freedom besides, up to so many
-_BEYOND = 1.5  # times the cone: it is about the true normal, and frames stand on smoothed ones
+PLACES = 48  # places spread over a print that are checked besides the one where a search ended
+FEW, DRAWN = 150, 4_000  # draws of roll and one joint's angle at a place, first and then, each with all branches
+_EACH, _MOST_DRAWN = 4, 64_000  # DRAWN is multiplied by _EACH for each further freedom, up to _MOST_DRAWN
+_BEYOND = 1.5  # × the cone: it is about the true normal, but frames are on smoothed ones
 SLIGHT = 1e-4  # m of clearance that a path between rungs may lack
-_SAME = 1e-6  # m: a sample that a refusal names is no farther from the point that it gives
+_SAME = 1e-6  # m: the sample that a refusal names is no farther than this from the point that it gives
 
 
 def repeated(task: NozzleTask, i: int, n: int) -> NozzleTask:
-    """A task that stays n times at sample i of another."""
+    """A task that repeats sample i of another n times."""
     one = [i] * n
     return NozzleTask(
         task.bead,
@@ -44,10 +45,10 @@ def repeated(task: NozzleTask, i: int, n: int) -> NozzleTask:
 
 
 def passable(cell: Cell, tasks: Sequence[NozzleTask], refusal: Refusal, obstacles: Obstacles) -> bool:
-    """Whether there may be a way past the place that a refusal names, and others spread along all beads: at each some
-    posture drawn is clear of obstacles.
+    """Whether there may be a way past the place that a refusal names, and past others spread along all beads.
 
-    What is refused on a grid may pass on another one at the place where that ended, and still have no way elsewhere.
+    At each of them, some drawn posture is clear of obstacles. A print that is refused on one grid may pass that place
+    on another one, and still have no way elsewhere.
     """
     around = {
         material: (own := cell.at(material), obstacles.for_nozzle(cell, own))
@@ -62,7 +63,7 @@ def passable(cell: Cell, tasks: Sequence[NozzleTask], refusal: Refusal, obstacle
 
 
 def _passed(cell: Cell, task: NozzleTask, i: int, obstacles: Obstacles) -> bool:
-    """Whether something drawn at sample i of a task is clear: few postures first, and many where none of those is."""
+    """Whether some posture drawn at sample i of a task is clear: a few are tried first, then many."""
     freedoms = 1 + len(cell.chosen) + (2 if task.cones.tilt > 0.0 else 0)
     for n in (FEW, min(DRAWN * _EACH ** max(freedoms - 2, 0), _MOST_DRAWN)):
         q = postures_drawn(cell, task, i, n)
@@ -92,8 +93,8 @@ def _spread(tasks: Sequence[NozzleTask]) -> tuple[tuple[int, int], ...]:
 
 
 def postures_drawn(cell: Cell, task: NozzleTask, i: int, n: int) -> Array:
-    """Postures (m, nj) at sample i of a task within the joints' ranges: n rolls, leans and angles of the chosen joints, all
-    branches. Leans go a little beyond what the cone about the normal allows; no other cone is kept to."""
+    """Postures (m, nj) at sample i of a task within the joints' ranges: n rolls, tilts and angles of the chosen joints,
+    on all branches. Tilts go a little beyond the cone about the normal; other cones are ignored."""
     na, nh, limits = len(cell.arm), len(cell.holder), cell.limits
     draw = np.random.default_rng(0)
     roll = draw.uniform(0.0, TURN, n)

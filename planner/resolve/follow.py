@@ -1,8 +1,8 @@
 """Compiled: postures that hold a task for given free variables, and how they change with them.
 
-Works on any arm whose Jacobian, less the columns of joints that are themselves free, is 6 x 6: Newton's method on
-the kinematic chain, from a posture nearby, so that the branch stays what it was. A spherical wrist has posture and
-Jacobian in closed form, unless no posture of the branch is nearby.
+Works for any arm whose Jacobian, without the columns of joints that are themselves free, is 6 x 6: Newton's method on
+the kinematic chain, from a posture nearby, so that the branch does not change. For a spherical wrist, posture and
+Jacobian are in closed form, unless no posture of the branch is nearby.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from planner.cell.kinematics.spherical_wrist import (
 )
 from planner.resolve.cone_kernels import gram, lean_of, lean_slope_of, power, sigma_slope_by_joints, square, to_unit
 
-CONVERGED = 1e-12  # m and rad: error of the nozzle's pose that is none
-_STEPS = 12  # of Newton's method; from a neighbouring sample's posture three or four do
+CONVERGED = 1e-12  # m and rad: error of the nozzle's pose that counts as zero
+_STEPS = 12  # of Newton's method; from a neighbouring sample's posture, three or four are enough
 _LONGEST = 0.5  # rad that a joint may move in a step
-_POWER_STEPS = 4  # of the iteration for the smallest singular value, four at once, which starts from the sample before
+_POWER_STEPS = 4  # of the power method for the smallest singular value, each worth four; starts from the sample before
 
 
 class HolderNumbers(NamedTuple):
-    """What holds the part, as in Chain: from the world to the part frame, nh joints."""
+    """The holder, as in Chain: from the world to the part frame, nh joints."""
 
     placements: Array
     axes: Array
@@ -59,8 +59,8 @@ class PosturesFollowed(NamedTuple):
 
 
 class _NewtonRoom(NamedTuple):
-    """Room for Newton's method: the chain's origins, directions (na, 3) and nozzle (4, 4), what turns the nozzle to where
-    it should be (3), the pose's error e (6), and the joints' step (6)."""
+    """Scratch for Newton's method: the chain's origins, directions (na, 3) and nozzle (4, 4), the rotation vector that
+    turns the nozzle to its target (3), the pose's error e (6), and the joints' step (6)."""
 
     origins: Array
     directions: Array
@@ -79,7 +79,7 @@ def _cross(a, b, out) -> None:
 
 @inner_njit
 def rotation_error(R_to, R_from, w) -> None:
-    """Fill w (3) with the rotation vector that turns R_from into R_to, in the outer frame; half a turn's axis is x."""
+    """Fill w (3) with the rotation vector that turns R_from into R_to, in the outer frame; half a turn is about x."""
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
         up = 0.0
@@ -98,13 +98,13 @@ def rotation_error(R_to, R_from, w) -> None:
         for a in range(3):
             w[a] *= angle / s
     elif trace < 0.0:
-        w[0] = np.pi  # whatever the axis: once Newton's method has moved, it sees the right one
+        w[0] = np.pi  # about any axis: after a step, Newton's method sees the right one
 
 
 @inner_njit
 def _upright_on(normal, beside, basis) -> None:
-    """Fill basis (3, 3) with rows of unit length at right angles, the last one along a unit normal (3), the first one near
-    to `beside` (3), which is about at right angles to it."""
+    """Fill basis (3, 3) with orthonormal rows: the last one along a unit normal (3), the first one close to `beside`
+    (3), which is roughly at right angles to it."""
     along = beside[0] * normal[0] + beside[1] * normal[1] + beside[2] * normal[2]
     size = 0.0
     for a in range(3):
@@ -152,8 +152,8 @@ def _tilted(frame, roll, tilt_x, tilt_y, R_tilt, axis, R_part_nozzle, slopes) ->
 
 @inner_njit
 def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
-    """Fill J (6, na) with the Jacobian at the nozzle, and Ji with the inverse of its columns `solved`; False if there is
-    none. J6 is room."""
+    """Fill J (6, na) with the Jacobian at the nozzle, and Ji with the inverse of its columns `solved`; False if there
+    is none. J6 is scratch."""
     jacobian_at(origins, directions, T_world_nozzle[:3, 3], J)
     for k in range(6):
         for a in range(6):
@@ -165,10 +165,10 @@ def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
 def _near_in_closed_form(
     p, T_base_world, T_world_nozzle, T_nozzle_flange, q, low, high, eight, ok, wanted, T_base_nozzle, T_base_flange
 ) -> bool:
-    """Replace the posture q (6) by the one of its branch that a nozzle pose asks for, as exactly as the lengths p are those
-    of the chain; False, and q as it was, if there is none nearby.
+    """Replace the posture q (6) by the one of its branch for a nozzle pose; False, with q unchanged, if none is nearby.
 
-    low, high (6) bound nothing; eight (8, 6), ok, wanted (8) are room; the last two are filled.
+    It is exact as far as p holds the chain's lengths. low, high (6) bound nothing; eight (8, 6), ok, wanted (8) are
+    scratch; the last two arguments are filled.
     """
     mul4(T_base_world, T_world_nozzle, T_base_nozzle)
     mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
@@ -203,8 +203,8 @@ def _out_of_base(T_base_world, J, Ji) -> None:
 
 @inner_njit
 def _by_steps(arm, p, R, q, room, J, J6, Ji) -> bool:
-    """Change the joints of q (na) that follow until its nozzle is at p (3), turned by R (3, 3), and fill J (6, na),
-    Ji (6, 6) as `_inverse_at` does; False if there is no such posture. J6 (6, 6) is room as well."""
+    """Move the solved joints of q (na) until its nozzle is at p (3) with orientation R (3, 3), and fill J (6, na) and
+    Ji (6, 6) as `_inverse_at` does; False if no such posture is found. J6 (6, 6) is scratch as well."""
     placements, axes, T_last_tip, solved = arm.placements, arm.axes, arm.T_last_tip, arm.solved
     origins, directions, T_world_nozzle = room.origins, room.directions, room.T_world_nozzle
     turn, e, step = room.turn, room.e, room.step
@@ -234,7 +234,7 @@ def _by_steps(arm, p, R, q, room, J, J6, Ji) -> bool:
         for k in range(6):
             q[solved[k]] += scale * step[k]
         if longest < 1e-14:
-            return True  # no further digits to be had
+            return True  # no further digits to gain
     return False
 
 
@@ -243,15 +243,15 @@ def follow(arm, holder, given, tip, frames, normals, z, active, out) -> int:
     """Fill `out` with postures along samples, and their slopes; returns the first sample where there is none, or -1.
 
     arm: ArmNumbers, holder: HolderNumbers; given (k): arm joints that are free themselves
-    tip, normals (n, 3), frames (n, 3, 3) of the task; z (n, 3+nh+k): roll, two tilts, holder joints, given arm joints [rad]
-    active (m): columns of z whose slopes are wanted
+    tip, normals (n, 3), frames (n, 3, 3) of the task
+    z (n, 3+nh+k): roll, two tilts, holder joints, given arm joints [rad]; active (m): columns whose slopes are wanted
     """
     kind, parameters, solved = arm.kind, arm.parameters, arm.solved
     T_base_world, T_nozzle_flange = arm.T_base_world, arm.T_nozzle_flange
     holder_placements, holder_axes, holder_tip = holder.placements, holder.axes, holder.T_last_tip
     q, G, sigma, sigma_slope, lean, lean_slope = out.q, out.G, out.sigma, out.sigma_slope, out.lean, out.lean_slope
     na, nh = len(arm.axes), len(holder_axes)
-    first = int(parameters[0]) if kind >= ON_RAIL else 0  # joint of the arm itself
+    first = int(parameters[0]) if kind >= ON_RAIL else 0  # first joint of the arm itself
     o_arm, d_arm = np.empty((na, 3)), np.empty((na, 3))
     o_hold, d_hold = np.empty((nh, 3)), np.empty((nh, 3))
     T_world_part, T_world_nozzle, R_tilt = np.eye(4), np.eye(4), np.empty((3, 3))
@@ -262,7 +262,7 @@ def follow(arm, holder, given, tip, frames, normals, z, active, out) -> int:
     axis, p, e = np.empty(3), np.empty(3), np.empty(6)
     J, J6, Ji = np.empty((6, na)), np.empty((6, 6)), np.empty((6, 6))
     W, Wi = np.empty((6, 6)), np.empty((6, 6))
-    u, w = 1.0 + 0.1 * np.arange(6.0), np.empty(6)  # whatever, but at right angles to nothing in particular
+    u, w = 1.0 + 0.1 * np.arange(6.0), np.empty(6)  # arbitrary, but orthogonal to nothing in particular
     v = np.empty(na)
     twist = np.empty(6)
     sum_before, sum_after = np.empty(6), np.empty(6)
@@ -370,7 +370,7 @@ def follow(arm, holder, given, tip, frames, normals, z, active, out) -> int:
                     g += Ji[k, a] * twist[a]
                 G[i, solved[k], c] = g
         # smallest singular value: the dominant eigenvector u of (J J^T)^-1, by the power method
-        if na - first == 6:  # of an arm on a rail the arm alone counts
+        if na - first == 6:  # for an arm on a rail, only the arm itself counts
             gram(Ji, Wi)
         else:
             for a in range(6):

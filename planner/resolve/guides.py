@@ -1,4 +1,4 @@
-"""Beads that repeat others in higher layers: which ones they repeat, which way round, and how far their rolls are apart."""
+"""Beads that repeat others in higher layers: which ones, which way round, and by how much their rolls differ."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Flags, Ints
 from planner.toolpath.task import NozzleTask
 
-_FEW = 5  # places along a bead by which the one that it lies nearest to is found among several
+_FEW = 5  # places along a bead that are compared to find the nearest of several others
 _COMPARED = 64  # places of two beads that are compared
-_ALIKE = np.radians(2.5)  # between zeros of roll: less is the difference of two beads' samples
-_IN_PLANE, _AHEAD = 1e-3, 0.25  # of an axis in a frame whose zero of roll points to it: least sine, see `roll_zeros`
+_ALIKE = np.radians(2.5)  # offset between zeros of roll, below which it stems from the two beads' samples
+_IN_PLANE, _AHEAD = 1e-3, 0.25  # greatest y and least x of a part axis to which a frame's zero of roll points
 
 
 def guides_of(tasks: Sequence[NozzleTask]) -> tuple[list[NozzleTask], list[int]]:
     """The tasks that others repeat in higher layers, and for each task which of them (index) it is or repeats.
 
-    They are those of each name in the layer that has it first: one, or several where a path was cut into pieces, of which
-    a task repeats the one that it lies nearest to.
+    They are those of each name in the first layer that has it: one, or several where a path was cut into pieces. A task
+    then repeats the piece that it is nearest to.
     """
     lowest: dict[str, int] = {}
     for task in tasks:
@@ -45,7 +45,7 @@ def guides_of(tasks: Sequence[NozzleTask]) -> tuple[list[NozzleTask], list[int]]
 
 
 def stacks_of(tasks: Sequence[NozzleTask]) -> list[list[int]]:
-    """Indices of tasks that lie on each other, from below, in the order of the lowest ones."""
+    """Indices of tasks that lie on top of each other, from the bottom up, in the order of the lowest ones."""
     guides, of = guides_of(tasks)
     stacks: list[list[int]] = [[] for _ in guides]
     for i, g in enumerate(of):
@@ -54,7 +54,7 @@ def stacks_of(tasks: Sequence[NozzleTask]) -> list[list[int]]:
 
 
 def _nearest(lower: Sequence[NozzleTask], tasks: Sequence[NozzleTask]) -> list[int]:
-    """Which (index) of some lower tasks each task lies nearest to, either way round."""
+    """Index of the lower task that each task is nearest to, whichever way round they run."""
     there, here = (np.stack([_along(task, task.tip, _FEW) for task in each]) for each in (lower, tasks))
     both = np.concatenate([there, there[:, ::-1]]).reshape(2 * len(lower), -1)
     which: Ints = cKDTree(both).query(here.reshape(len(tasks), -1))[1] % len(lower)
@@ -62,7 +62,7 @@ def _nearest(lower: Sequence[NozzleTask], tasks: Sequence[NozzleTask]) -> list[i
 
 
 def _along(task: NozzleTask, values: Array, n: int) -> Array:
-    """Some (n) of a task's values (samples, ...) between the ends of what it lays."""
+    """Some (n) of a task's values (samples, ...), spread over its deposit."""
     laid = values[task.first : task.last]
     return laid[np.linspace(0, len(laid) - 1, n).astype(int)]
 
@@ -74,10 +74,10 @@ def runs_backwards(task: NozzleTask, guide: NozzleTask) -> bool:
 
 
 def zeros_apart(task: NozzleTask, guide: NozzleTask, backwards: bool) -> float:
-    """Angle [rad] by which roll counts from elsewhere in the guide, which a task may run backwards: what has to be added to
-    the guide's roll for the same heading. 0 where both count from the same.
+    """Angle [rad] to add to the guide's roll for the same heading in a task, which may run it backwards.
 
-    Zeros that are carried along beads without turning stand at one angle all along, see `roll_zeros`.
+    0 if both count roll from the same zero. Zeros that are carried along beads without turning are at a constant angle
+    to each other, see `roll_zeros`.
     """
     if (_counted_from(task) & _counted_from(guide)).any():
         return 0.0
@@ -89,7 +89,7 @@ def zeros_apart(task: NozzleTask, guide: NozzleTask, backwards: bool) -> float:
 
 
 def _counted_from(task: NozzleTask) -> Flags:
-    """Which axes of the part (3) a task's zero of roll points to, all along what it lays."""
+    """Which axes of the part (3) a task's zero of roll points to, all along its deposit."""
     x, y = (task.frames[task.first : task.last, :, k] for k in (0, 1))
     out: Flags = np.all(x > _AHEAD, axis=0) & np.all(np.abs(y) < _IN_PLANE, axis=0)
     return out

@@ -39,28 +39,31 @@ from planner.resolve.search import LadderRoute, Route, angles_along, best_route
 from planner.toolpath.task import NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
-# What would help where there is no path: other tilts, positioner angles and places of the part, each tried.
+# What would help where there is no path: other tilts, positioner angles and positions of the part, each tried out.
 #
-# Nothing here is guessed: a change is only named after the same nodes and the same search have been tried with it.
+# Nothing here is guessed: a change is suggested only after the same nodes and the same search have been tried with it.
 
 TILTS = (5.0, 10.0, 20.0)  # deg from the surface normal
-_FINE = 0.1  # mm that clearance lacks: less is said by its first two digits
-NEARER = (1e-3, 0.5e-3, 0.2e-3, 0.0)  # m of clearance of nozzle and head, where more is asked for
+_FINE = 0.1  # mm of missing clearance, below which two significant digits are printed
+NEARER = (1e-3, 0.5e-3, 0.2e-3, 0.0)  # m: smaller clearances of nozzle and head to try where more is required
 _AZIMUTHS = 12  # directions in which the nozzle is tilted
-_TURN_STEP, _MOST_TURN = 15.0, 180.0  # deg, of a held axis from where it is
-_MOVES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # m, of the part; beyond what is missing, where that is known
-_MORE, _ROUND_MM = 0.01, 5.0  # m, mm: what such a move is enlarged by and rounded up to
-_HALVINGS = 3  # of the last step of such a move
-_FINER, _FINEST = 2.0, 2.0  # what finer steps are divided by; deg that they may have
-_FEW = 24  # rungs that a change must serve before a whole search is worth its time
-_ENOUGH = 8  # changes of one kind that give postures, but no path: no further one is tried
+_TURN_STEP, _MOST_TURN = 15.0, 180.0  # deg: steps of a held axis from its present angle, and how far they go
+_MOVES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)  # m that the part is moved, on top of the missing reach where that is known
+_MORE, _ROUND_MM = 0.01, 5.0  # m added to such a move; mm, to a multiple of which it is then rounded up
+_HALVINGS = 3  # bisections of the last step of such a move
+_FINER, _FINEST = 2.0, 2.0  # divisor of the steps of a finer grid; smallest step to suggest [deg]
+_FEW = 24  # rungs at which a change must give a posture before a full search is worth its time
+_ENOUGH = 8  # changes of one kind that give postures but no path, after which no more are tried
 _HERE, _ALONG = 1, 2  # what a change gives: a posture at the place, or a path through everything
 
 
 @dataclass(frozen=True)
 class Stuck:
-    """Where a search ended: its tasks, demand and grid, the rung, the least singular value that it asked for, what was in
-    its way, and how many times as wide as the settings' the grid's steps are."""
+    """Where a search ended: its tasks, demand, grid and rung.
+
+    min_sigma: the least singular value it required; obstacles: what was in its way
+    rough: the grid's steps as a multiple of the settings'
+    """
 
     cell: Cell
     tasks: tuple[NozzleTask, ...]
@@ -72,7 +75,7 @@ class Stuck:
     rough: float = 1.0
 
     def serves(self, cell: Cell) -> int:
-        """What a changed cell gives with the same search: 0 nothing, _HERE or _ALONG."""
+        """What the same search gives in a changed cell: 0 for nothing, _HERE or _ALONG."""
         if not np.isfinite(self._prices(cell, self.demand, np.array([self.rung]))).any():
             return 0
         r = len(self.demand.rung)
@@ -84,7 +87,7 @@ class Stuck:
         return _HERE if route is None or not self._holds_between(cell, nodes, route) else _ALONG
 
     def _holds_between(self, cell: Cell, nodes: Nodes, route: Route) -> bool:
-        """Whether the arm reaches the samples between a route's rungs too."""
+        """Whether the arm also reaches the samples between a route's rungs."""
         grid = nodes.grid
         chosen = LadderRoute(self.demand, nodes, route).chosen(len(cell.chosen))
         for k, task in enumerate(self.tasks):
@@ -104,12 +107,12 @@ class Stuck:
         return True
 
     def has_postures_near_ends(self) -> bool:
-        """Whether the cell has a posture at the place, nearer to the ends of joints' ranges than it is searched."""
+        """Whether the cell has a posture at the place, closer to the ends of joints' ranges than the search goes."""
         nearer = replace(self, cell=near_ends(self.cell))
         return bool(np.isfinite(nearer._prices(nearer.cell, self.demand, np.array([self.rung]))).any())
 
     def serves_tilted(self, tilt: float) -> bool:
-        """Whether the cell has a posture at the place, its nozzle this far [rad] off the normal in some direction."""
+        """Whether the cell has a posture at the place with the nozzle tilted by this much [rad] in some direction."""
         sample = self.demand.rung[self.rung]
         for azimuth in np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS, endpoint=False):
             frames = self.demand.frames.copy()
@@ -121,7 +124,7 @@ class Stuck:
         return False
 
     def _around(self, cell: Cell) -> Obstacles:
-        """What is in the way of a changed cell."""
+        """The obstacles of a changed cell."""
         if cell is self.cell:
             return self.obstacles
         there = self.obstacles.of(cell)
@@ -150,7 +153,7 @@ def stuck_at(
     obstacles: Obstacles = NOTHING,
     rough: float = 1.0,
 ) -> Stuck:
-    """Where a search over these tasks ended; of those of one name without those of other layers, which repeat them."""
+    """Where a search over these tasks ended; of tasks of one name only one layer's are kept, as others repeat them."""
     at = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
     layer = {tasks[at].name: tasks[at].layer}
     for task in tasks:
@@ -166,22 +169,22 @@ def stuck_at(
 
 
 def place_hints(stuck: Stuck, point: Array, missing: float | None = None) -> tuple[str, ...]:
-    """What would give the cell a posture at the place, or better a path: least changes, of each kind one.
+    """Changes that would give the cell a posture at the place, or better a path: the smallest one of each kind.
 
-    point (3) in the part frame [m]; missing [m] is by how much it is out of reach, where it is.
+    point (3) in the part frame [m]; missing: how far it is out of reach [m], if it is.
     """
     moves = _move_hints(stuck, point, missing, _HERE)
     return (*_turn_hints(stuck, _HERE), *moves, *_tilt_hints(stuck), *_nearer_hints(stuck))
 
 
 def path_hints(stuck: Stuck, point: Array) -> tuple[str, ...]:
-    """What would give the cell a path, where it lacks no posture at the place, or none but on a finer grid."""
+    """Changes that would give the cell a path where it has a posture at the place, be it on a finer grid only."""
     return (*_finer_hints(stuck), *_turn_hints(stuck, _ALONG), *_move_hints(stuck, point, None, _ALONG))
 
 
 def _finer_hints(stuck: Stuck) -> tuple[str, ...]:
     roll, table = stuck.grid.roll_step / _FINER, stuck.grid.holder_step / _FINER
-    asked = np.degrees([roll, table]) / stuck.rough  # of the settings
+    asked = np.degrees([roll, table]) / stuck.rough  # as steps of the settings
     if asked.min() < _FINEST:
         return ()
     if replace(stuck, grid=replace(stuck.grid, roll_step=roll, holder_step=table)).serves(stuck.cell) != _ALONG:
@@ -193,7 +196,7 @@ def _finer_hints(stuck: Stuck) -> tuple[str, ...]:
 
 
 def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
-    """The least lean that gives a posture, and those beyond it that may give a path."""
+    """The smallest tilt that gives a posture, and larger ones that may give a path."""
     clear = replace(stuck, obstacles=stuck.obstacles.but_head_on_part)
     leans = stuck.demand.cones.tilt == 0.0 and clear.serves(stuck.cell) > 0
     what = "lets the nozzle lean clear here" if leans else "gives the nozzle a posture here"
@@ -206,7 +209,7 @@ def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
 
 
 def _nearer_hints(stuck: Stuck) -> tuple[str, ...]:
-    """The greatest distance of nozzle and head that would do: less than is asked for, and still no contact."""
+    """The largest clearance of nozzle and head that would do: less than required, but still no contact."""
     found: tuple[int, float] = (0, 0.0)
     for nozzle in NEARER:
         nearer = stuck.obstacles.with_nozzle_at(stuck.cell, nozzle)
@@ -219,19 +222,19 @@ def _nearer_hints(stuck: Stuck) -> tuple[str, ...]:
 
 
 def nearer_hint(kept: float, gives: str) -> tuple[Change, ...]:
-    """The hint of a distance of nozzle and head that is kept [m], or of the next smaller ones; none where they touch."""
+    """The hint to keep this clearance of nozzle and head [m], or the next smaller ones; empty where they touch."""
     key = "collision.nozzle_mm"
     tries = tuple((f"{key}: {each * 1e3:g}", ((key, f"{each * 1e3:g}"),)) for each in NEARER if each <= kept)
     return (Change(f"{tries[0][0]} {gives}", tries),) if tries else ()
 
 
 def _change(gives: int, *tries: tuple[str, tuple[tuple[str, Any], ...]]) -> Change:
-    """The hint of a change, of which the least one, the first, gives this in the coarse search."""
+    """The hint for a change; the first and smallest of its variants gives this in the coarse search."""
     return Change(f"{tries[0][0]} {_GIVES[gives]}", tries)
 
 
 def _turn_hints(stuck: Stuck, wanted: int) -> tuple[str, ...]:
-    """For each held axis of the positioner the nearest angle that helps."""
+    """For each held axis of the positioner, the nearest angle that helps."""
     hints: list[Change] = []
     for name, now in stuck.cell.held.items():
         found: tuple[int, float] = (0, 0.0)
@@ -273,7 +276,7 @@ def _turned(cell: Cell, name: str, angle: float) -> Cell:
 
 
 def _move_hints(stuck: Stuck, point: Array, missing: float | None, wanted: int) -> tuple[str, ...]:
-    """The least move of the part that helps: towards the base first, then the other ways."""
+    """The smallest move of the part that helps: towards the base first, then in the other directions."""
     least = missing or 0.0
     steps = [*([least] if least else []), *(least + d for d in _MOVES)]
     ways = _directions(stuck.cell, point)
@@ -295,7 +298,7 @@ def _move_hints(stuck: Stuck, point: Array, missing: float | None, wanted: int) 
         else:
             below = middle
     gives, way, distance = found
-    # rungs are not the whole path: told is a little more than the least, where that serves as well
+    # rungs are not the whole path: suggest a little more than the smallest move, where that serves as well
     mm = _ROUND_MM * np.ceil((distance + _MORE) * 1e3 / _ROUND_MM)
     if stuck.serves(_moved(stuck.cell, mm * 1e-3 * ways[way])) < gives:
         mm = round(distance * 1e3, 1)
@@ -306,7 +309,7 @@ def _move_hints(stuck: Stuck, point: Array, missing: float | None, wanted: int) 
 
 
 def _directions(cell: Cell, point: Array) -> dict[str, Array]:
-    """Unit vectors (3) in the world by name, as seen from a point of the part with everything at home."""
+    """Named unit vectors (3) in the world, as seen from a point of the part with everything at home."""
     T_world_part = cell.holder.poses(cell.home[None, len(cell.arm) :])[0]
     to_base = cell.T_world_foot_home[:3, 3] - (T_world_part[:3, :3] @ point + T_world_part[:3, 3])
     level = np.array([to_base[0], to_base[1], 0.0])
@@ -325,7 +328,7 @@ def _directions(cell: Cell, point: Array) -> dict[str, Array]:
 
 
 def _moved(cell: Cell, by: Array) -> Cell:
-    """The cell with all that holds the part moved in the world by a vector (3) [m]."""
+    """The cell with everything that holds the part moved in the world by a vector (3) [m]."""
     T = translation(by)
     holder = cell.holder
     if len(holder):
@@ -342,23 +345,26 @@ def _moved(cell: Cell, by: Array) -> Cell:
     )
 
 
-_GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives a path in the coarse search"}
+_GIVES = {_HERE: "gives postures here, but no complete path", _ALONG: "gives a path in the coarse search"}
 
 
 # ----------------------------------------------------------------------------------------------------
 # Why there is no path: which rung ran out of candidates, and for what reason.
 
-STEEP = np.radians(20.0)  # between path and surface: the face's edge is a third of its radius beneath the tip
-_TRIED = 72  # rolls and holder angles that the diagnosis looks at
-# For what is beyond a range, rungs are looked at: some spread over the print, and those on both sides of one.
+STEEP = np.radians(20.0)  # descent at which the nozzle face's edge is a third of its radius beneath the path behind it
+_TRIED = 72  # rolls, and as many holder angles, that the diagnosis tries
+# Rungs checked for a place beyond the joints' ranges: spread over the print, and on each side of a given rung.
 _PLACES, _NEXT = 48, 8
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """Postures that the diagnosis looks at, at a sample of a task: flange poses T_base_flange (m, 4, 4), the holder's joints
-    (m, nh), angles of the given joints (m, k) if there are any, and all branches q (m, b, na), turned into the joints' ranges;
-    which of these there are, and which lie inside the ranges (m, b)."""
+    """Postures that the diagnosis tries at a sample of a task.
+
+    T_base_flange (m, 4, 4), holder joints (m, nh), redundant (m, k): angles of the given joints, if there are any
+    q (m, b, na): all branches, turned into the joints' ranges
+    ok, inside (m, b): which of these exist, and which lie within the ranges
+    """
 
     task: NozzleTask
     sample: int
@@ -370,7 +376,7 @@ class _Tried:
     inside: Flags
 
     def best(self, merit: Array) -> Array:
-        """Joints (nj) of the posture of greatest merit (m, b) of those that there are."""
+        """Joints (nj) of the posture with the greatest merit (m, b) among those that exist."""
         a, b = np.unravel_index(int(np.where(self.ok, merit, -np.inf).argmax()), self.ok.shape)
         return np.concatenate([self.q[a, b], self.holder[a]])
 
@@ -399,7 +405,7 @@ def _tried_at(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nod
 
 
 def _swept_angles(cell: Cell, grid: Grid, angles: Array) -> Array:
-    """Of angles all round those of the swept joint, or as many within its range, where that is less than a turn."""
+    """Angles of the swept joint to try: all those given, or as many within its range where that is less than a turn."""
     if not cell.chosen or grid.swept is None:
         return angles[:1]
     j = cell.chosen[grid.swept]
@@ -412,8 +418,11 @@ def _swept_angles(cell: Cell, grid: Grid, angles: Array) -> Array:
 def _beyond_ranges(
     cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nodes: Nodes, rung: int
 ) -> int | None:
-    """A rung at which nothing is in reach and inside the joints' ranges, of some near this one and some spread over all; the
-    nearest, rather on a bead than in its runs, which can be short. None where there is no such rung among them."""
+    """The nearest rung at which no posture is both in reach and within the joints' ranges, or None.
+
+    Rungs near this one and some spread over all are checked; those on a bead before those in its runs, which can be
+    shortened.
+    """
     r, grid = len(demand.rung), nodes.grid
     around = np.arange(max(rung - _NEXT, 0), min(rung + _NEXT + 1, r))
     some = np.union1d(around, np.linspace(0, r - 1, min(r, _PLACES)).round().astype(np.int64))
@@ -443,10 +452,10 @@ def refuse_rung(
 ) -> NoReturn:
     """Raise the Refusal that says why no way leads to this rung: reach, limits, singularity or collision.
 
-    rough: how many times as wide as the settings' the grid's steps are
+    rough: the grid's steps as a multiple of the settings'
 
-    With it come hints, found when they are asked for: changes that were tried and would help; and whether there may be a
-    way nearer to the ends of joints' ranges, see `Refusal.near_ends`.
+    It carries hints, found on demand: changes that were tried and would help. It also says whether there may be a way
+    closer to the ends of joints' ranges, see `Refusal.near_ends`.
     """
     if demand.cones.tilt > 0.0:
         obstacles = obstacles.but_head_on_part
@@ -469,13 +478,13 @@ def refuse_rung(
     if not ok.any():
         missing = float(cell.inverse.out_of_reach(tried.T_base_flange, tried.redundant).min())
         refuse("out of the arm's reach", None, missing)
-    inner = np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q)  # how far inside its range each joint is
+    inner = np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q)  # how far each is inside its range
     if not tried.inside.any():
         over = np.where(ok[:, :, None], -inner, np.inf)
         worst = over.max(axis=2)
         a, b = np.unravel_index(np.argmin(worst), worst.shape)
         joint = int(np.argmax(over[a, b]))
-        reason = f"no posture within the joints' ranges; the nearest one leaves that of {cell.arm.names[joint]}"
+        reason = f"no posture within the joints' ranges; the nearest one exceeds that of {cell.arm.names[joint]}"
         far = worst[a, b]
         by = f"{1e3 * far:.1f} mm" if joint in cell.limits.sliding else f"{np.degrees(far):.1f} deg"
         refuse(f"{reason} by {by}", tried.best(-worst))
@@ -484,10 +493,10 @@ def refuse_rung(
         away = (inner >= room).all(axis=2) & ok
         if not away.any():
             beyond = _beyond_ranges(cell, tasks, demand, nodes, rung)
-            if beyond is not None:  # here the path comes near to what stops it there
+            if beyond is not None:  # here the path is only close to what stops it there
                 refuse_rung(cell, tasks, demand, nodes, beyond, min_sigma, obstacles, rough)
             slides = any(j < na for j in cell.limits.sliding)
-            slid = f" ({1e3 * room:g} mm of one that slides)" if slides else ""
+            slid = f" ({1e3 * room:g} mm for one that slides)" if slides else ""
             reason = f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range"
             refuse(reason + slid, tried.best(inner.min(axis=2)), ends=ends)
         sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, list(cell.solved)], compute_uv=False)[:, -1]
@@ -502,12 +511,12 @@ def refuse_rung(
             margin, which = obstacles.margins(there, now, np.inf, CLEAR_ROOM)
             k = int(np.argmax(margin))
             standing = obstacles.standing(cell, there[k], float(now[k]), float(margin[k]))
-            every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here", standing)
+            every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture tried here", standing)
             down = descent(task, i)
-            if down > STEEP and task.first <= i <= task.last:  # run-ins come down by themselves
+            if down > STEEP and task.first <= i <= task.last:  # run-ins descend anyway
                 every += into_itself(down)
             refuse(every, there[k], kind=Blocked, ends=ends)
-        reason = "no posture on the search's grid, though there are some between its steps: search finer"
+        reason = "no posture on the search's grid, though there are some between its steps: search more finely"
         refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]), near_ends=ends)
     if obstacles.any:
         free = evaluate(cell, demand, grid, min_sigma)
@@ -516,7 +525,7 @@ def refuse_rung(
             worst, pair, lacking, posture = _hit(cell, LadderRoute(demand, free, without), obstacles)
             k = int(np.searchsorted(demand.task_rungs, worst, side="right") - 1)
             i = int(demand.rung[worst]) - sum(len(t) for t in tasks[:k])
-            way = "no way leads past, and the one that would be taken"
+            way = "no way leads past it, and the one that would be taken"
             refuse_at(
                 tasks[k],
                 i,
@@ -530,9 +539,9 @@ def refuse_rung(
 
 
 def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacles) -> None:
-    """Raise the Refusal that names what a path comes too near to, and where; the worst place of all.
+    """Raise a Refusal if a path comes too close to anything: it names what, and the worst place of all paths.
 
-    Where the nozzle may tilt, its clearance from part and print is not looked at: tilt may still give it.
+    Where the nozzle may tilt, the head's clearance from part and print is not checked: tilt may still provide it.
     """
     if paths[0].task.cones.tilt > 0.0:
         obstacles = obstacles.but_head_on_part
@@ -549,7 +558,7 @@ def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacle
 
 
 def _collision(obstacles: Obstacles, which: int, margin: float, subject: str, standing: Sequence[str] = ()) -> str:
-    """standing: what stands with the part, where it is that which is too near, see `Obstacles.standing`."""
+    """standing: bodies fixed in the part frame, if it is one of them that is too close, see `Obstacles.standing`."""
     one, other = obstacles.names(which)
     other = " or ".join(standing) if other == PART and standing else other
     lacks = -margin * 1e3
@@ -558,7 +567,7 @@ def _collision(obstacles: Obstacles, which: int, margin: float, subject: str, st
 
 
 def into_itself(down: float) -> str:
-    """What to say of a path that runs down [rad] its own normals."""
+    """What to say of a path that runs down its own normals at an angle [rad]."""
     return (
         f"; the path runs {np.degrees(down):.0f} deg down its own normals here, so that a nozzle on them dips "
         "into what it has just laid"
@@ -566,14 +575,14 @@ def into_itself(down: float) -> str:
 
 
 def descent(task: NozzleTask, i: int) -> float:
-    """Angle [rad] by which the path at sample i runs into the surface that its normal stands on."""
+    """Angle [rad] at which the path descends at sample i into the surface that its normal belongs to."""
     way = task.tip[min(i + 1, len(task) - 1)] - task.tip[max(i - 1, 0)]
     length = float(np.linalg.norm(way))
     return float(np.arcsin(np.clip(-(way @ task.normals[i]) / length, -1.0, 1.0))) if length > 0.0 else 0.0
 
 
 def _postures_at(cell: Cell, demand: SampledTasks, grid: Grid, rung: int, min_sigma: float) -> Array:
-    """Postures (m, nj) that a rung's nodes have where nothing is in the way."""
+    """Postures (m, nj) of a rung's nodes, obstacles ignored."""
     one = [rung]
     few = demand.only(np.array(one), [0, 1])
     held = grid.chosen(len(demand.rung), len(cell.chosen))[one]
@@ -589,7 +598,7 @@ def _postures_at(cell: Cell, demand: SampledTasks, grid: Grid, rung: int, min_si
 
 
 def _hit(cell: Cell, found: LadderRoute, obstacles: Obstacles) -> tuple[int, int, float, Array]:
-    """The rung at which a route comes nearest to obstacles, which pair does, its margin [m], and the posture (nj)."""
+    """The rung at which a route comes closest to obstacles, the pair, its margin [m], and the posture (nj)."""
     nodes, route, demand = found.nodes, found.route, found.demand
     grid = nodes.grid
     r = np.arange(len(route.roll))

@@ -1,4 +1,4 @@
-"""What a task demands of the joints, a path of joints that meets it, and its derivatives by arc length."""
+"""What a task demands of the joints, a joint path that meets it, and its derivatives by arc length."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from planner.toolpath.task import FREE, Cones, NozzleTask
 # ----------------------------------------------------------------------------------------------------
 # What a nozzle task demands of the joints at the commanded speed: twists, their rates, and rungs.
 
-SAMPLES_TURNING = 2  # at least, where the normal turns so quickly that a table could not keep up otherwise
-SAMPLES_PER_RUNG = 8  # at least: what roll and holder do between rungs must be resolved by the samples
+SAMPLES_TURNING = 2  # per rung, at least, where the normal turns so quickly that a table could not keep up otherwise
+SAMPLES_PER_RUNG = 8  # at least: samples must resolve what roll and holder do between rungs
 
 
 @dataclass(frozen=True)
 class SampledTasks:
-    """All tasks' samples and rungs in one row, ready for compiled kernels (n samples, r rungs).
+    """All tasks' samples and rungs end to end, ready for compiled kernels (n samples, r rungs).
 
     tip, normals (n, 3), frames (n, 3, 3)   as in the tasks
     twist, rate (n, 6)             velocity of the nozzle in the part frame with roll and holder at rest, at the
@@ -38,13 +38,13 @@ class SampledTasks:
     now (n)                        when a sample is reached, in beads: see `NozzleTask.moments`
     weight (n)                     time that a sample stands for at that speed [s]; 0 where nothing is deposited
     rung (r)                       sample of each rung
-    place (r)                      where along its task a rung stands, from 0 to 1, in shares of the task's samples
-    start, stop (r)                samples that a rung answers for
-    time (r)                       time from the rung before it at the commanded speed [s]
+    place (r)                      where along its task a rung is, as a fraction of the task's samples from 0 to 1
+    start, stop (r)                samples that a rung stands for
+    time (r)                       time from the previous rung at the commanded speed [s]
     task_rungs (b + 1)             rungs of task i are task_rungs[i] .. task_rungs[i + 1]
     cones                          of the tasks, the same for all
     lean                           share of the surface normal's lean from the vertical that the nozzle's axis has: 1 if
-                                   it stands in the frames, see `share_of_lean`
+                                   it follows the frames, see `share_of_lean`
     """
 
     tip: Array
@@ -68,7 +68,7 @@ class SampledTasks:
         return slice(int(self.task_rungs[task]), int(self.task_rungs[task + 1]))
 
     def only(self, rungs: NDArray[np.int64], task_rungs: Sequence[int]) -> SampledTasks:
-        """The same samples with some of the rungs (indices), which `task_rungs` divides anew into tasks."""
+        """The same samples with some of the rungs (indices), divided into tasks by `task_rungs`."""
         return replace(
             self,
             rung=self.rung[rungs],
@@ -81,9 +81,10 @@ class SampledTasks:
 
 
 def share_of_lean(cones: Cones) -> float:
-    """Share of the surface normal's lean from the vertical that the nozzle's axis has, before it is refined.
+    """Share of the surface normal's lean from the vertical that the nozzle's axis has before refinement.
 
-    Between upright and on the normal it uses the cones about both in proportion: it keeps to them wherever that can be.
+    Between the vertical and the normal, it uses the cones about both in proportion, and so keeps to both where
+    possible.
     """
     if cones.nozzle_gravity == np.pi or cones.tilt == 0.0:
         return 1.0
@@ -91,13 +92,13 @@ def share_of_lean(cones: Cones) -> float:
 
 
 def least_cone(cones: Cones) -> float:
-    """How far the surface normal may lean from the vertical [rad] so that all cones can be kept to."""
+    """How far the surface normal may lean from the vertical [rad] if all cones are to be kept."""
     return min(cones.layer_gravity, cones.nozzle_gravity + cones.tilt)
 
 
 def leaned(R_world_task: Array, share: float) -> Array:
-    """Orientations (n, 3, 3) in the world, turned by the least angle so that their z leans from straight down by a share of
-    what it did."""
+    """Orientations (n, 3, 3) in the world, turned by the least angle that reduces their z's lean from straight down to
+    a share of what it was."""
     z = R_world_task[:, :, 2]
     axis = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], axis=1)  # about which z comes down
     level = np.linalg.norm(axis, axis=1)
@@ -107,7 +108,7 @@ def leaned(R_world_task: Array, share: float) -> Array:
 
 
 def leaned_on_part(cell: Cell, frames: Array, holder: Array, share: float) -> Array:
-    """Orientations (n, 3, 3) in the part frame, leaned in the world as `leaned` does, with the holder's joints at (n, nh)."""
+    """Orientations (n, 3, 3) in the part frame, leaned in the world as by `leaned`, for holder joints (n, nh)."""
     R_world_part = cell.holder.poses(holder)[:, :3, :3]
     return np.asarray(np.swapaxes(R_world_part, 1, 2) @ leaned(R_world_part @ frames, share))
 
@@ -134,8 +135,11 @@ def turned_from(frames: Array, R_part_nozzle: Array) -> tuple[Array, Array]:
 
 
 def sample_tasks(tasks: Sequence[NozzleTask], spacing: float, turn: float = np.inf) -> SampledTasks:
-    """Differentiate the tasks' paths at the commanded speed and set rungs `spacing` [m] apart, or nearer, so that the normal
-    turns by `turn` [rad] at most, see `places_along`."""
+    """Differentiate the tasks' paths at the commanded speed and place rungs.
+
+    Rungs are `spacing` [m] apart, or closer, so that the normal turns by at most `turn` [rad] between them, see
+    `places_along`.
+    """
     rungs, places, starts, stops, times = [], [], [], [], []
     offset = 0
     counts = [0]
@@ -177,10 +181,11 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float, turn: float = np.i
 
 @njit
 def _motion_along(tip: Array, frames: Array, t: Array, ends: Ints, laid: Ints) -> tuple[Array, Array, Array]:
-    """Twists (n, 6) of frames (n, 3, 3) at tips (n, 3) at times t (n), their rates (n, 6) and the time (n) that each sample
-    stands for, 0 where nothing is laid.
+    """Twists (n, 6) of frames (n, 3, 3) at tips (n, 3) at times t (n), their rates (n, 6) and the time (n) that each
+    sample stands for, 0 where nothing is laid.
 
-    ends (m + 1): where each task's samples begin, and the last ones end; laid (m, 2): first and last sample of its deposit
+    ends (m + 1): where each task's samples begin, and the last task's end; laid (m, 2): first and last sample of its
+    deposit
     """
     n = len(t)
     twist, rate, weight = np.empty((n, 6)), np.empty((n, 6)), np.zeros(n)
@@ -209,8 +214,10 @@ def _motion_along(tip: Array, frames: Array, t: Array, ends: Ints, laid: Ints) -
 
 @njit(inline="always")
 def _differences(t: Array, first: int, last: int, i: int) -> tuple[float, float, float, int, int]:
-    """Shares of the values before, at and after i in the slope there, exact for parabolas, one-sided at first and last; and
-    the two neighbours' indices."""
+    """Weights of the values before, at and after i in the slope there, and the two neighbours' indices.
+
+    Exact for parabolas; one-sided at first and last.
+    """
     if i in (first, last):
         before, after = (first, first + 1) if i == first else (last - 1, last)
         step = t[after] - t[before]
@@ -222,16 +229,21 @@ def _differences(t: Array, first: int, last: int, i: int) -> tuple[float, float,
 # ----------------------------------------------------------------------------------------------------
 # JointPath: the joints along one task, from a choice of roll, holder angle and branch.
 
-TURNS = 5  # of a joint that are tried along a bead
-COMBINATIONS = 128  # of joints' turns that are tried along a bead
+TURNS = 5  # numbers of whole turns of a joint that are tried along a bead
+COMBINATIONS = 128  # combinations of joints' whole turns that are tried along a bead
 MARGIN = 1e-6  # rad kept from a joint's limit, so that rounding cannot cross it
 
 
 @dataclass(frozen=True)
 class JointPath:
-    """Joints q (n, nj) at the task's samples, arm then holder, continuous in whole turns; one branch all along.
+    """Joints along one task, without jumps by whole turns.
 
-    roll (n) about the nozzle axis; tilt (n, 2) rotation vector of the axis in the task's frames [rad]
+    Attributes:
+        task: What the nozzle follows (n samples).
+        roll: Roll (n,) about the nozzle axis [rad].
+        tilt: Rotation vector (n, 2) of the axis in the task's frames [rad].
+        q: Joints (n, nj) at the task's samples, arm then holder [rad; m for sliding joints].
+        branch: Branch of the inverse kinematics, one all along.
     """
 
     task: NozzleTask
@@ -242,15 +254,15 @@ class JointPath:
 
 
 def at_rest(cell: Cell) -> Array:
-    """Where the chosen joints (k) rest: at home, or as near to it as a path may come to the ends of their ranges."""
+    """Where the chosen joints (k) rest: at home, or as close to it as their ranges allow a path."""
     return np.clip(cell.home[list(cell.chosen)], *_inner_ranges(cell))
 
 
 def _inner_ranges(cell: Cell) -> tuple[Array, Array]:
-    """Lowest and highest places and angles (k) of the chosen joints that are as far from the ends of their ranges as a path is.
+    """Lowest and highest positions (k) of the chosen joints in a path.
 
-    Joints of the arm keep `Limits.room`, which is asked of all its postures; for rounding MARGIN is kept twice. The
-    middle of ranges that are too narrow for that.
+    Joints of the arm keep `Limits.room` from the ends of their ranges, as in all its postures, and MARGIN; the others
+    keep MARGIN twice, for rounding. Ranges too narrow for that are reduced to their middle.
     """
     chosen = list(cell.chosen)
     low, high = cell.limits.q_min[chosen], cell.limits.q_max[chosen]
@@ -260,11 +272,13 @@ def _inner_ranges(cell: Cell) -> tuple[Array, Array]:
 
 
 def gone_along(cell: Cell, tip: Array) -> Array:
-    """Places and angles (m, k) of the arm's given joints where those that slide go along with the nozzle, whose tip is at
-    (m, 3) in the world [m]: from where they are at home, within their ranges. The others rest."""
+    """Positions (m, k) of the arm's given joints if those that slide go along with the nozzle and the others rest.
+
+    tip (m, 3) of the nozzle in the world [m]. Sliding joints start from their home positions and stay in their ranges.
+    """
     home, nh = cell.home[None, : len(cell.arm)], len(cell.holder)
     away = tip - cell.arm.poses(home)[0, :3, 3]
-    along = cell.arm.jacobians(home)[0, :3]  # columns of joints that slide are their directions
+    along = cell.arm.jacobians(home)[0, :3]  # for sliding joints, the columns are their directions
     low, high = (ends[nh:] for ends in _inner_ranges(cell))
     out = np.tile(at_rest(cell)[nh:], (len(tip), 1))
     for k, j in enumerate(cell.given):
@@ -274,9 +288,9 @@ def gone_along(cell: Cell, tip: Array) -> Array:
 
 
 def spread(values: Array, n: int, places: Array) -> Array:
-    """n samples of a smooth curve that rung values (m) or (m, k) control: a clamped B-spline of degree 5.
+    """n samples of a smooth curve controlled by rung values (m) or (m, k): a clamped B-spline of degree 5.
 
-    places (m): where the rungs stand, from 0 to 1, in shares of the samples. The curve has four continuous derivatives,
+    places (m): where the rungs are, as fractions of the samples from 0 to 1. The curve has four continuous derivatives,
     does not overshoot its control values, and starts and ends at the first and last of them; with fewer than six rungs
     the degree is one less than their number.
     """
@@ -284,20 +298,20 @@ def spread(values: Array, n: int, places: Array) -> Array:
     degree = min(5, m - 1)
     if degree == 0:
         return np.repeat(values, n, axis=0)
-    # inner knots at the rungs themselves, so that each value is felt where its rung stands, near the ends too
+    # inner knots at the rungs themselves, so that each value takes effect where its rung is, near the ends too
     knots = np.concatenate([np.zeros(degree + 1), places[3 : m - 3], np.ones(degree + 1)])
     return np.asarray(BSpline(knots, values, degree)(np.linspace(0.0, 1.0, n)))
 
 
 def upright(task: NozzleTask) -> Array:
-    """No tilt (n, 2): the nozzle axis stands on the surface."""
+    """No tilt (n, 2): the nozzle's axis is normal to the surface."""
     return np.zeros((len(task), 2))
 
 
 def postures(cell: Cell, task: NozzleTask, roll: Array, chosen: Array, branch: int, tilt: Array | None = None) -> Array:
     """Joints (n, nj) that hold the task exactly, for roll (n) and the cell's chosen joints (n, k) on one branch.
 
-    The nozzle is not tilted but by `tilt` (n, 2).
+    tilt (n, 2) of the nozzle, none if not given.
 
     Joints are continuous along the path; whole turns are chosen later, by `choose_turns`.
     Raises Refusal, with the place, where a pose is out of reach or outside a joint's range.
@@ -322,14 +336,14 @@ def postures(cell: Cell, task: NozzleTask, roll: Array, chosen: Array, branch: i
 
 
 def turned_to_middle(limits: Limits, q: Array) -> Array:
-    """The arm's joints (..., na), those that turn in whole turns as near to the middles of their ranges as can be."""
+    """The arm's joints (..., na), with whole turns added that bring them closest to the middles of their ranges."""
     na = q.shape[-1]
     middle = 0.5 * (limits.q_min[:na] + limits.q_max[:na])
     return np.where(limits.turns[:na], middle + np.remainder(q - middle + np.pi, TURN) - np.pi, q)
 
 
 def flange_poses(cell: Cell, task: NozzleTask, roll: Array, tilt: Array, holder: Array) -> Array:
-    """Flange poses in the arm's base frame (n, 4, 4) that the task asks for: frames Exp(tilt) Rz(roll)."""
+    """Flange poses in the arm's base frame (n, 4, 4) that the task requires: frames Exp(tilt) Rz(roll)."""
     c, s = np.cos(roll), np.sin(roll)
     T_part_nozzle = np.zeros((len(task), 4, 4))
     turned = task.frames
@@ -349,10 +363,10 @@ def flange_poses(cell: Cell, task: NozzleTask, roll: Array, tilt: Array, holder:
 def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...]:
     """Add whole turns to joints, bead by bead, so that all stay within limits and travel takes the least time.
 
-    Turns change in travel alone, never within a bead: that is where a joint unwinds when a limit nears. They are
+    Turns change only in travel, never within a bead: that is where a joint unwinds as it approaches a limit. They are
     chosen by dynamic programming over the beads, for all joints together, since a travel takes as long as its slowest
-    joint. Tried are those near home, and those with which a table that goes round and round need not come back. Raises
-    Refusal for a bead along which a joint leaves its range however it is turned.
+    joint. Candidates are those near home, and those with which a table that keeps turning need not come back. Raises
+    Refusal for a bead along which a joint leaves its range whatever whole turns are added.
     """
 
     def options_of(own: tuple[JointPath, Array]) -> Array:
@@ -382,14 +396,14 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
 
 
 def turns_within(cell: Cell, path: JointPath, onward: Array | None = None) -> Array:
-    """Whole turns (k, nj) [rad] that keep a path within the joints' ranges, those nearest to home; raises Refusal without any.
+    """Whole turns (k, nj) [rad] that keep a path in the joints' ranges, nearest to home; raises Refusal if none do.
 
-    onward (nj): how many whole turns of each joint are among them as well, see `_onward`
+    onward (nj): numbers of whole turns of the joints to include as well, see `_onward`
     """
     low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
     least, most = path.q.min(axis=0), path.q.max(axis=0)
     each = []
-    far = np.zeros(len(low), dtype=np.bool_)  # joints whose turns onward are none of those nearest to home
+    far = np.zeros(len(low), dtype=np.bool_)  # joints whose onward turns are not among those nearest to home
     for j in range(len(low)):
         k = np.arange(np.ceil((low[j] - least[j]) / TURN), np.floor((high[j] - most[j]) / TURN) + 1)
         k = k if cell.limits.turns[j] else k[k == 0]
@@ -410,8 +424,8 @@ def turns_within(cell: Cell, path: JointPath, onward: Array | None = None) -> Ar
 
 
 def _onward(cell: Cell, paths: Sequence[JointPath]) -> list[Array]:
-    """How many whole turns (nj) take each path to where the one before ends, or the first one to home, as nearly as the joints'
-    ranges allow."""
+    """Numbers of whole turns (nj) that bring each path's start closest to the previous path's end, or to home for the
+    first one, within the joints' ranges."""
     low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
     at, out = cell.home, []
     for path in paths:
@@ -427,7 +441,7 @@ def _slowest(way: Array, limits: Limits, joints: slice) -> Array:
     """Time [s] that joints need from rest to rest over ways (..., n), the slowest of them."""
     v, a, jerk = limits.velocity[joints], limits.acceleration[joints], limits.jerk[joints]
     way = np.abs(way)
-    rise = np.minimum(a / jerk, np.sqrt(v / jerk))  # of the acceleration, which then is held, and falls again
+    rise = np.minimum(a / jerk, np.sqrt(v / jerk))  # time for acceleration to build up; it is held, then falls again
     held = v / (jerk * rise) - rise
     full = way / v + 2.0 * rise + held
     less = np.maximum(np.minimum(a / jerk, np.cbrt(0.5 * way / jerk)), 1e-12)  # where full speed is not reached
@@ -445,7 +459,7 @@ def refuse_at(
     near_ends: bool = False,
     posture: Array | None = None,
 ) -> NoReturn:
-    """Raise a Refusal, of this kind, that names the task's bead, sample and point; places in a run count as the bead's end."""
+    """Raise a Refusal of this kind that names the task's bead, sample and point; places in a run are the bead's end."""
     mm = task.tip[i] * 1e3
     if missing is not None:
         reason += f" by {missing * 1e3:.1f} mm"
@@ -474,7 +488,7 @@ def refuse_at(
 # length: a limit of the joint is a limit on a derivative of the path.
 
 ORDERS = np.array([1, 2, 3])
-_STILL = 1e-6  # of a sample's mean length: where less is moved from sample to sample, a path has no direction
+_STILL = 1e-6  # share of the mean distance between samples, below which a path has no direction
 
 
 @dataclass(frozen=True)
@@ -486,15 +500,15 @@ class ByArcLength:
 
 
 def spline_of(path: JointPath) -> BSpline:
-    """Joints and arc length (nj + 1) by the number of the sample, with four continuous derivatives."""
+    """Joints and arc length (nj + 1) as functions of the sample's index, with four continuous derivatives."""
     n = len(path.task)
     return make_interp_spline(np.arange(n, dtype=float), np.column_stack([path.q, path.task.s]), k=min(5, n - 1))
 
 
 def by_arc_length(path: JointPath, spline: BSpline, low: float, high: float, per_sample: int) -> ByArcLength:
-    """Derivatives between two arc lengths of the task [m], at so many places a sample of it.
+    """Derivatives between two arc lengths of the task [m], at `per_sample` places per sample of it.
 
-    A place where samples coincide has no direction and is left out.
+    Places where samples coincide have no direction and are left out.
     """
     s = path.task.s
     k = np.interp([low, high], s, np.arange(len(s), dtype=float))

@@ -52,8 +52,8 @@ from planner.toolpath.task import Cones, NozzleTask
 # ----------------------------------------------------------------------------------------------------
 # What the ways from and to home cost, for each node at which a print could start or end.
 
-_LOOKS = 9  # postures along a way, by which the tip's way is measured, and whether anything is in it
-_DETOUR = 1.2  # m that the tip goes further where something is: up, across, and down
+_LOOKS = 9  # postures along a way at which the tip's way is measured and checked for obstacles
+_DETOUR = 1.2  # m added to the tip's way where something is in it: up, across and down
 
 
 def home_travel_costs(
@@ -64,10 +64,10 @@ def home_travel_costs(
     obstacles: Obstacles = NOTHING,
     counted: Sequence[int] = (),
 ) -> tuple[Array, Array]:
-    """Prices [s] (rolls, holders, c, labels) of the ways from home to the first rung's nodes, and from the last one's home.
+    """Prices [s] (rolls, holders, c, labels) of the ways from home to the first rung's nodes and from the last's home.
 
-    The holder rests meanwhile. share: of the print that these nodes stand for, if they are those of some of its beads
-    counted: joints whose turns are counted, see `best_route`; the others come by the shortest turn
+    The holder rests meanwhile. share: of the print that these nodes stand for, if they cover only some of its beads
+    counted: joints whose turns are counted, see `best_route`; the others take the shortest turn
     """
     price, speed = share * HOME_PRICE, tasks[0].travel_speed
     turns = label_turns(turns_counted(nodes, cell.limits, counted))
@@ -89,9 +89,11 @@ def _times(
     counted: Sequence[int],
     turns: Ints,
 ) -> Array:
-    """Time [s] (rolls, holders, c) of the way between home and a rung's nodes, all joints together: the slowest joint's
-    from rest to rest, or the tip's at the speed [m/s] that it may have, with a detour where something is in the way; 0
-    where there is no posture. turns: of the counted joints."""
+    """Time [s] (rolls, holders, c) of the way between home and a rung's nodes; 0 where there is no posture.
+
+    All joints move together: the slowest one counts, from rest to rest, or the tip at its travel speed [m/s] if that
+    takes longer, with a detour where something is in the way. turns: of the counted joints
+    """
     v, a, wraps, *_ = joint_limits(nodes, cell.limits)
     there = np.isfinite(nodes.price[rung])
     home = cell.home[: len(wraps)]
@@ -121,11 +123,11 @@ def _times(
 # ----------------------------------------------------------------------------------------------------
 # How far a ladder's route can be from the best one on its whole fine grid: a price that no route can go below.
 
-PIECE = 24  # rungs that are searched at once: what the whole fine grid of so many takes still fits in memory
+PIECE = 24  # rungs searched at once: the whole fine grid of so many still fits in memory
 
 
 def lower_bound(cell: Cell, found: LadderRoute, min_sigma: float, piece: int = PIECE) -> float:
-    """A lower bound [s] of the price of any route on the whole grid that has the found route's steps.
+    """A lower bound [s] on the price of any route on the whole grid with the found route's steps.
 
     Every task is cut into pieces of at most `piece` rungs. Each is searched exactly over all rolls, all angles of
     the swept joint and all branches; edges between pieces and travel between tasks, whose prices are never
@@ -143,26 +145,29 @@ def lower_bound(cell: Cell, found: LadderRoute, min_sigma: float, piece: int = P
             steps = grid.roll_step, grid.holder_step
             whole = full_grid(few, cell.inverse.branch_count, *steps, swept is not None, swept, held)
             route, _ = best_route(evaluate(cell, few, whole, min_sigma), few, cell.limits)
-            if route is None:  # rounding alone: the found route lies on this grid
+            if route is None:  # only by rounding: the found route lies on this grid
                 return 0.0
             total += route.price
     return total
 
 
 # ----------------------------------------------------------------------------------------------------
-# The best clear route, for which clearance is only looked at where a route leads.
+# The best clear route, with clearance checked only where a route leads.
 #
-# Whether a posture is clear costs several times what all else about a node costs, and most routes lead past everything.
-# So routes are searched as if nothing were in the way; around what blocks them nodes are looked at, and the search is
-# done again. A route that is found clear so is the one that a search among clear nodes alone would find.
+# Checking a posture's clearance costs several times as much as all else about a node, and most routes lead past
+# everything. So routes are searched as if nothing were in the way; nodes around blocked rungs are then checked, and the
+# search is repeated. A clear route found in this way is the one that a search among clear nodes only would find.
 
-_REACH = 4  # rungs to each side of a blocked one that are looked at first; four times as many each time after
+_REACH = 4  # rungs to each side of a blocked one that are checked first; _WIDER times as many each time after
 _WIDER = 4
 
 
 class ClearSearch:
-    """Searches on one grid. `nodes` are those of `evaluate` as far as a search has looked at their clearance; `wound` is the
-    last route found that winds a joint further than its range is."""
+    """Searches on one grid.
+
+    nodes: those of `evaluate`, as far as a search has checked their clearance
+    wound: the last route found that winds a joint further than its range
+    """
 
     def __init__(
         self, cell: Cell, demand: SampledTasks, grid: Grid, min_sigma: float, obstacles: Obstacles = NOTHING
@@ -178,13 +183,13 @@ class ClearSearch:
     def best(
         self, tasks: Sequence[NozzleTask] = (), share: float = 1.0, *, past: bool = True
     ) -> tuple[Route | None, int]:
-        """As `best_route`, on clear nodes, and of routes that wind no joint further along a bead than its range is.
+        """As `best_route`, on clear nodes, among routes that wind no joint further along a bead than its range.
 
-        Where a joint winds too far, or would have to be wound up before or back after, its turns are counted, and the search
-        is done again, if it fits in memory. Where there is no way then, or it does not fit, `wound` is the route that winds too
-        far.
+        Where a joint winds too far, or would have to be wound up beforehand or unwound afterwards, its turns are
+        counted and the search is repeated, if it fits in memory. If there is no way then, or it does not fit, `wound`
+        is the route that winds too far.
 
-        tasks, share: as for `home_travel_costs`, if the ways from and to home have a price; past: with detours in it
+        tasks, share: as for `home_travel_costs`, if the ways from and to home have a price; past: including detours
         """
         counted = set[int]()
         while True:
@@ -211,7 +216,7 @@ class ClearSearch:
         reach = _REACH
         while True:
             route, stuck = best_route(self.nodes, self._demand, self._cell.limits, home, counted)
-            if route is None:  # nor will there be one when more is taken out
+            if route is None:  # nor will there be one with fewer nodes
                 return None, stuck
             blocked = self._blocked(route)
             if not len(blocked):
@@ -221,14 +226,14 @@ class ClearSearch:
             reach *= _WIDER
 
     def look(self, rungs: Ints) -> Nodes:
-        """Take what is not clear at some rungs out of the nodes, which come back."""
+        """Remove what is not clear at some rungs from the nodes, and return them."""
         rungs = rungs[~self._looked[rungs]]
         self._fill(rungs, self._obstacles)
         self._looked[rungs] = True
         return self.nodes
 
     def _blocked(self, route: Route) -> Ints:
-        """Rungs not looked at yet where a route's node, or the one that keeps to the angles before, is not clear."""
+        """Unchecked rungs where a route's node, or the one that keeps the previous angles, is not clear."""
         grid, demand = self.nodes.grid, self._demand
         at = np.flatnonzero(~self._looked)
         before = np.where(np.isin(at, demand.task_rungs), at, np.maximum(at - 1, 0))
@@ -249,8 +254,10 @@ class ClearSearch:
 
 
 def overwound(cell: Cell, found: LadderRoute) -> set[int]:
-    """Joints, the arm's or their number for the swept one, that a route winds so far along a bead that their range does not
-    hold them, however they are turned."""
+    """Joints that a route winds so far along a bead that no whole turns bring them into their range.
+
+    Indices of the arm's joints; the swept one is given as the number of these.
+    """
     q, joints = _joints_along(cell, found)
     least, most = cell.limits.q_min[joints] + MARGIN, cell.limits.q_max[joints] - MARGIN
     over = set[int]()
@@ -264,8 +271,8 @@ def overwound(cell: Cell, found: LadderRoute) -> set[int]:
 
 
 def wound_from_home(cell: Cell, found: LadderRoute) -> set[int]:
-    """Arm joints that a route of one bead winds so far that the ways from and to home take half a turn more than by the
-    shortest turn at either end."""
+    """Arm joints that a route of one bead winds so far that the ways from and to home take over half a turn more than
+    with the shortest turn at each end."""
     if len(found.demand.task_rungs) > 2:
         return set()  # they can unwind between beads
     na = len(cell.arm)
@@ -300,18 +307,19 @@ def _joints_along(cell: Cell, found: LadderRoute) -> tuple[Array, list[int]]:
 # ----------------------------------------------------------------------------------------------------
 # Strategy `ladder`: dynamic programming over roll, holder angle and branch, coarse guides first, then dense.
 
-# Of the second search: coarse steps are divided by the first number, and the guide may be left by the second one of
-# those to each side in roll, by the third one in the chosen joint. A guide that turns by a coarse step a rung is too
-# quick for dense steps: wider in roll, which is what turns quickly, then in both, then coarse.
+# Corridors of the second search, in the order in which they are tried: the divisor of the coarse steps, and how many of
+# the resulting steps a route may leave the guide by, to each side, in roll and in the chosen joint. A guide that turns
+# by a coarse step a rung is too quick for dense steps: so wider in roll, which turns quickly, then in both, then
+# coarse.
 CORRIDORS = ((3, 4, 4), (3, 12, 4), (3, 12, 12), (1, 1, 1))
-_SPARSE = 5  # times as far as the settings' rungs stand those of the first look at several chosen joints
-_ROUGH = 2.0  # times the settings' steps in that first look, and where the grid would be too large
-MOST_NODES = 3e6  # of the guide's grid: 100 MB, and a second; the second search is finer anyway
-_FEW = 50  # times as far stand those at which postures of a holder of many joints are tried, if home does not do
-_DRAWN = 400  # of those postures
-_SLIDING_SHARE = 0.7  # of the speed of a joint that slides, which a step of the grid from rung to rung may take
-_TURN_SHARE = 0.7  # of a table's step of the grid, which the normal may turn by from rung to rung
-_LATTICE = 9  # angles at which a chosen joint is held there, at most
+_SPARSE = 5  # × the settings' rung spacing: for the first look at several chosen joints
+_ROUGH = 2.0  # × the settings' steps: in that first look, and where the grid would be too large
+MOST_NODES = 3e6  # nodes of the guide's grid: 100 MB, and a second; the second search is finer anyway
+_FEW = 50  # × the settings' rung spacing: to try postures of a holder with many joints where home will not do
+_DRAWN = 400  # such postures
+_SLIDING_SHARE = 0.7  # share of a sliding joint's speed that a grid step from rung to rung may take
+_TURN_SHARE = 0.7  # share of the table's grid step by which the normal may turn from rung to rung
+_LATTICE = 9  # angles at which a chosen joint is held in the first look, at most
 
 
 @with_each_nozzle
@@ -333,13 +341,12 @@ def ladder(
         except Refusal as between_rungs:  # what the rungs allow, the path between them may not: try the next corridor
             refusal = refusal or between_rungs
     if refusal is None:
-        raise RuntimeError("a search without routes must refuse by itself")
+        raise RuntimeError("a search that finds no route must raise a Refusal itself")
     raise refusal
 
 
 def ladder_route(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> LadderRoute:
-    """The route that `ladder` tries first to make its paths of where nothing is in the way. Raises Refusal where there is
-    none."""
+    """The first route that `ladder` would try if nothing were in the way; raises Refusal if there is none."""
     return next(_routes(cell, tasks, settings, NOTHING))
 
 
@@ -369,7 +376,7 @@ def _routes(
 
 
 def may_be_found(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles) -> bool:
-    """Whether the coarse search that guides `ladder` finds a way: where it finds none, nor does that, which takes several
+    """Whether the coarse search that guides `ladder` finds a way; if not, neither does `ladder`, which takes several
     times as long."""
     try:
         for own, which in nozzles_of(cell, tasks):
@@ -383,17 +390,17 @@ def may_be_found(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec,
 def guide_route(
     cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING, share: float = 1.0
 ) -> LadderRoute:
-    """The best route on the coarse grid; share: of the print's beads that are guides. Raises Refusal where there is none.
+    """The best route on the coarse grid; share: of the print's beads that are guides. Raises Refusal if there is none.
 
-    With several chosen joints a full grid would not fit, see `_one_after_the_other`. Where cones about the vertical bind the
-    table, its path is found by `table_path`, and roll, branch and the arm's given joints are searched with it.
+    With several chosen joints a full grid would not fit, see `_one_after_the_other`. Where cones about the vertical
+    bind the table, its path is found by `table_path`, and roll, branch and the arm's given joints are searched with it.
     """
     if len(cell.chosen) < 2:
         return _with_one_joint(cell, guides, settings, obstacles, share)
     demand = sample_tasks(guides, _rung(cell, guides, settings), _turn(cell, settings))
     if binds_table(cell, demand.cones):
         return _after_table(cell, guides, demand, settings, obstacles, share)
-    # what moves all is not always better than what moves one: neither search is over the whole grid
+    # moving all joints is not always better than moving one: neither search covers the whole grid
     found, refusal = None, None
     try:
         found = _one_after_the_other(cell, guides, demand, settings, obstacles, share)
@@ -403,7 +410,7 @@ def guide_route(
         alone = _with_one_joint(cell, guides, settings, obstacles, share)
     except Refusal as none:
         if found is None:
-            # what is in the way of every posture of one joint is mostly in the way of them all
+            # what blocks every posture with one joint moving mostly blocks all postures
             raise none if refusal is None or isinstance(none, Blocked) else refusal from none
         return found
     both = [alone] if found is None else [found, alone]
@@ -411,14 +418,14 @@ def guide_route(
 
 
 def _best(cell: Cell, found: Sequence[LadderRoute]) -> LadderRoute:
-    """The cheapest of routes, rather one that winds no joint too far."""
+    """The cheapest route, preferably one that winds no joint too far."""
     return min(found, key=lambda each: (bool(overwound(cell, each)), each.route.price))
 
 
 def _with_one_joint(
     cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles, share: float
 ) -> LadderRoute:
-    """The best route on the whole coarse grid of roll, branch and the chosen joint next to the part; others rest at home."""
+    """The best route on the whole coarse grid of roll, branch and the chosen joint next to the part, others at home."""
     demand, grid = coarse_grid(cell, guides, settings, MOST_NODES)
     return _best_on(grid, cell, guides, demand, settings, obstacles, share)
 
@@ -450,9 +457,11 @@ def _one_after_the_other(
     obstacles: Obstacles,
     share: float,
 ) -> LadderRoute:
-    """A route over roll, branch and several chosen joints, one of which at a time is searched: first the one next to the
-    part, on sparse rungs, for a lattice of angles at which the others rest; then each other one while the rest follow the
-    path found before."""
+    """A route over roll, branch and several chosen joints, searched one joint at a time.
+
+    First the one next to the part, on sparse rungs, for a lattice of angles at which the others rest; then each of the
+    others, while the rest follow the path found before.
+    """
     k = len(cell.chosen)
     found = _first_look(cell, guides, settings, obstacles, share)
     first = found.nodes.grid.swept
@@ -463,7 +472,7 @@ def _one_after_the_other(
         route, stuck = search.best(guides, share)
         if route is not None:
             found = LadderRoute(demand, search.nodes, route)
-    # a joint that finds no way alone leaves the path as it was; one of them must find one
+    # a joint for which no way is found leaves the path unchanged; one must be found for at least one of them
     if found.demand is not demand:
         refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
     return found
@@ -475,8 +484,11 @@ def binds_table(cell: Cell, cones: Cones) -> bool:
 
 
 def _rung(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, refine: int = 1) -> float:
-    """Distance between rungs [m]: the settings', or what a chosen joint that slides needs for a step of the grid, divided
-    by `refine`, from one to the next: its steps are long, and their number is not to grow with its range."""
+    """Distance between rungs [m]: the settings', or more where a chosen joint slides.
+
+    From rung to rung it must be able to move by a grid step, divided by `refine`: its steps are long, since their
+    number is not to grow with its range.
+    """
     rung, limits = settings.rung, cell.limits
     for j in cell.chosen:
         if j in limits.sliding:
@@ -487,7 +499,7 @@ def _rung(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, refine
 
 
 def _turn(cell: Cell, settings: ResolveSpec) -> float:
-    """What the normal may turn by from rung to rung [rad]: a table that follows it makes a step of the grid at most."""
+    """How far the normal may turn from rung to rung [rad]: a table that follows it moves by at most a grid step."""
     return _TURN_SHARE * settings.table_step if cell.chosen else np.inf
 
 
@@ -501,8 +513,8 @@ def _after_table(
 ) -> LadderRoute:
     """The best route of heading and branch while the table follows a path that the cones allow.
 
-    The arm's given joints rest first, or, where that does not do, rails go along with the nozzle; then each is searched in
-    turn, while the others follow the path found before.
+    At first the arm's given joints rest or, where that does not work, rails go along with the nozzle; then they are
+    searched one by one, while the others follow the path found before.
     """
     k, nh = len(cell.chosen), len(cell.holder)
     held = table_path(cell, guides, demand)
@@ -528,7 +540,7 @@ def _after_table(
 def _first_look(
     cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles, share: float
 ) -> LadderRoute:
-    """The best route on sparse rungs with all chosen joints but one at rest, at any angles of a lattice."""
+    """The best route on sparse rungs with all chosen joints but one at rest, at the best angles of a lattice."""
     k, nh = len(cell.chosen), len(cell.holder)
     demand = sample_tasks(guides, _SPARSE * _rung(cell, guides, settings), _ROUGH * _turn(cell, settings))
     swept = max(nh - 1, 0)
@@ -553,7 +565,7 @@ def _first_look(
         elif search.wound is not None and (wound is None or search.wound.price < wound.route.price):
             wound = LadderRoute(demand, search.nodes, search.wound)
     best = best or wound
-    if best is None and len(others) > 1:  # home does not do: look around it, at few rungs first
+    if best is None and len(others) > 1:  # home will not do: look around it, at few rungs first
         few = sample_tasks(guides, _FEW * settings.rung)
         for rest in _around_home(cell, others):
             reached = search_at(rest, few).look(np.arange(len(few.rung)))
@@ -575,8 +587,8 @@ def _around_home(cell: Cell, chosen: Sequence[int]) -> Array:
 
 
 def _rest_angles(cell: Cell, chosen: int, step: float, others: int) -> Array:
-    """Angles at which a chosen joint may rest: those of a lattice over its range that are nearest to home if it is the only
-    one to rest, else home."""
+    """Angles at which a chosen joint may rest: those of a lattice over its range that are nearest to home if it is the
+    only one to rest, else home."""
     rest, (low, high) = at_rest(cell)[chosen], looked_at(cell)
     if others > 1:
         return np.array([rest])
@@ -606,7 +618,7 @@ def coarse_nodes(
 ) -> tuple[SampledTasks, Nodes]:
     """The whole grid of the settings' steps at the settings' rungs, or of twice those steps if it has too many nodes.
 
-    Of several chosen joints the one next to the part is tried, the others rest at home.
+    Of several chosen joints, the one next to the part varies; the others rest at home.
     """
     demand, grid = coarse_grid(cell, tasks, settings, most)
     return demand, evaluate(cell, demand, grid, settings.min_sigma, obstacles)
@@ -615,7 +627,7 @@ def coarse_nodes(
 def coarse_grid(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, most: float = np.inf
 ) -> tuple[SampledTasks, Grid]:
-    """The tasks at the settings' rungs and the grid at its steps, or at twice those if it has more than `most` nodes."""
+    """The tasks at the settings' rungs and the grid at its steps, or at twice those if that has over `most` nodes."""
     demand = sample_tasks(tasks, _rung(cell, tasks, settings), _turn(cell, settings))
     held = np.tile(at_rest(cell), (len(demand.rung), 1))
     swept = max(len(cell.holder) - 1, 0)
@@ -707,7 +719,7 @@ def paths_of(cell: Cell, tasks: Sequence[NozzleTask], found: LadderRoute) -> tup
 
 
 def _refuse_jump(cell: Cell, task: NozzleTask, q: Array) -> None:
-    """Refuse joints (n, nj) one of which turns so far from sample to sample that the nozzle leaves its path between them."""
+    """Refuse joints (n, nj) if one turns so far from sample to sample that the nozzle leaves its path in between."""
     steps = np.where(cell.limits.turns, np.abs(np.diff(q, axis=0)), 0.0)
     i, j = np.unravel_index(int(steps.argmax()), steps.shape)
     if steps[i, j] > FAR:

@@ -1,7 +1,7 @@
-"""Cones about the vertical that nothing can hold: how far layer and nozzle lean at least, whatever holds the part does.
+"""Cones about the vertical that cannot be kept: how far layer and nozzle lean at least, whatever the holder does.
 
-What bounds both is the surface normal's lean from the vertical: the layer's cone directly, the nozzle's cone with that about
-the normal added. The arm has no part in it, so this is known before any search.
+The surface normal's lean from the vertical decides: it must be within the layer's cone, and within the nozzle's cone
+with that about the normal added. The arm plays no part in it, so this is known before any search.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from planner.resolve.joint_path import least_cone
 from planner.toolpath.task import Cones, NozzleTask
 
 TOLERANCE = np.radians(0.05)  # by which verification lets an axis leave a cone
-_STARTS = 96  # postures of the axes but the last one from which the least lean is looked for
-_ROUNDS = 60  # of turning one axis after the other
-_STILL = 1e-12  # of the lean's cosine, that a round wins no more
-_ROUNDING = 0.01  # tenths of a degree beyond a tenth that do not count
+_STARTS = 96  # postures of all axes but the last, from which the search for the least lean starts
+_ROUNDS = 60  # rounds of turning one axis after the other
+_STILL = 1e-12  # gain in the lean's cosine below which rounds end
+_ROUNDING = 0.01  # tenths of a degree that are ignored in rounding up to the next tenth
 _FINE, _FINE_OF_TWO = np.radians(0.1), np.radians(1.0)  # steps of a lattice of one axis, and of two
 _WIDE = np.radians(600.0)  # range of an axis that is as good as unbounded along one bead
-_BEADS = 4  # that lean most, along which continuous motions are looked for
-_RUNGS = 400  # of a bead, between which the lattice's angles may change
-_TURN = np.radians(3.0)  # that the normal turns by from most of them to the next, at most: a cell has to do for both
+_BEADS = 4  # beads that lean most, along which continuous motions are sought
+_RUNGS = 400  # rungs of a bead, between which the lattice's angles may change
+_TURN = np.radians(3.0)  # largest median turn of the normal from rung to rung: a cell has to serve for both
 
 
 @dataclass(frozen=True)
 class LeastLean:
-    """The place where the surface normal leans most from the vertical though the part is held as upright as can be.
+    """The place where the surface normal leans most from the vertical, even with the part held as upright as possible.
 
     task, sample   where it is
-    here           least lean there [rad], whatever the angles of what holds the part
-    along          the least greatest lean [rad] of any continuous motion along all of that bead, or some turns of it where it
-                   winds round many times; never below `here`
+    here           least lean there [rad], over all angles of the holder
+    along          the smallest maximum lean [rad] of any continuous motion along a bead, or along some turns of it
+                   where it winds round many times; the largest of the beads that lean most, never below `here`
     """
 
     task: NozzleTask
@@ -50,8 +50,8 @@ class LeastLean:
 
 
 def check_cones(problem: Problem, cell: Cell, tasks: Sequence[NozzleTask]) -> None:
-    """Raise the InputError of cones about the vertical that no angles of what holds the part can keep to, with the least
-    half angles that could be kept to."""
+    """Raise an InputError for cones about the vertical that no angles of the holder can keep to, with the smallest half
+    angles that could be kept."""
     cones = tasks[0].cones
     least = least_lean(cell, tasks, least_cone(cones) + TOLERANCE)
     if least is not None:
@@ -77,19 +77,19 @@ def _too_narrow(problem: Problem, cell: Cell, cones: Cones, least: LeastLean) ->
         said.append(f"the nozzle leans from straight down by at least {own:.1f} deg here")
     reason = f"{', and '.join(said)}, {however} ({where})"
     if least.along > least.here + TOLERANCE:
-        reason += f"; {np.degrees(least.along - least.here):.1f} deg more somewhere along this bead"
+        reason += f"; {np.degrees(least.along - least.here):.1f} deg more elsewhere along the beads that lean most"
     rounded = {key: np.ceil(np.degrees(value) * 10.0 - _ROUNDING) / 10.0 for key, value in values.items()}
-    hint = "the least that could be kept to: process.cones: {"
+    hint = "the smallest that can be kept: process.cones: {"
     hint += ", ".join(f"{key}: {value:.1f}" for key, value in rounded.items()) + "}"
     if not set(cell.holder_robot.joint_names if cell.holder_robot else ()) <= set(cell.holder.names):
-        hint += "; or more of cell.positioner.free"
+        hint += "; or more axes in cell.positioner.free"
     return problem.error(f"process.cones.{fields[0]}", reason, hint)
 
 
 def least_lean(cell: Cell, tasks: Sequence[NozzleTask], enough: float) -> LeastLean | None:
-    """Where beads lean most, though the part is held as upright as can be; None if that is nowhere beyond `enough` [rad].
+    """Where beads lean most, even with the part held as upright as possible; None if never beyond `enough` [rad].
 
-    Motions are looked for along the few beads that lean most.
+    Continuous motions are sought along the few beads that lean most.
     """
     if enough >= np.pi:
         return None
@@ -115,11 +115,11 @@ def _laid(task: NozzleTask) -> Array:
 
 
 def least_leans(holder: Chain, low: Array, high: Array, normals: Array, enough: float = 0.0) -> Array:
-    """Least angles (n) [rad] of unit normals (n, 3) of the part from the vertical, over all places low .. high (nh) of what
-    holds it. One that is found to be `enough` or less is not looked at any further.
+    """Least angles (n) [rad] of the part's unit normals (n, 3) from the vertical, in the holder's ranges (nh).
 
-    The lean's cosine is one of a single axis' angle, plus a constant: from many postures axes are turned in turn to where
-    it is greatest, until that wins no more.
+    A normal found within `enough` is not pursued further. In the angle of a single axis, the cosine of the lean is a
+    cosine plus a constant: starting from many postures, axes are turned one after the other to where it is greatest,
+    until that gains nothing.
     """
     axes = np.flatnonzero(~holder.slides)
     starts = np.zeros((1, len(holder)))
@@ -149,13 +149,13 @@ def least_leans(holder: Chain, low: Array, high: Array, normals: Array, enough: 
 
 
 def _once_round(low: Array, high: Array) -> tuple[Array, Array]:
-    """The ranges, of which what is wider than a turn counts as one turn."""
+    """The ranges, limited to one turn each."""
     middle, half = 0.5 * (low + high), np.minimum(0.5 * (high - low), np.pi)
     return middle - half, middle + half
 
 
 def _upright(holder: Chain, low: Array, high: Array, q: Array, axes: Ints, normals: Array) -> Array:
-    """Turn some axes of q (n, nh) in turn, the last one first, to where normals (n, 3) lean least; the cosines (n) there."""
+    """Turn some axes of q (n, nh), the last one first, to where normals (n, 3) lean least; returns the cosines (n)."""
     n, cosine = len(normals), np.empty(len(normals))
     if not len(axes):
         return np.asarray(normals @ holder.poses(q[:1])[0, 2, :3])
@@ -188,10 +188,11 @@ def _rotated(axis: Array, angle: Array, vectors: Array) -> Array:
 
 
 def least_along(holder: Chain, low: Array, high: Array, normals: Array) -> float:
-    """The least greatest lean [rad] along a bead with unit normals (n, 3), of any continuous motion of its holder's axes in
-    their ranges, however slow; on a lattice, so a little above it; see `_rungs` for how much of it is looked at.
+    """The smallest maximum lean [rad], along a bead with unit normals (n, 3), of any continuous motion of the holder.
 
-    Holders of more than two axes are taken to follow the least lean of each place.
+    Motions stay within the ranges and may be as slow as they like. They are found on a lattice, so the result is a
+    little too high; see `_rungs` for how much of the bead is covered. Holders with more than two axes are assumed to
+    follow the least lean of each place.
     """
     axes = np.flatnonzero(~holder.slides)
     leans = least_leans(holder, low, high, normals)
@@ -211,8 +212,10 @@ def least_along(holder: Chain, low: Array, high: Array, normals: Array) -> float
 
 
 def _rungs(normals: Array, worst: int) -> Ints:
-    """Samples of a bead with unit normals (n, 3) between which the lattice's angles may change: along all of it, or, where it
-    winds round so often that they would be too far apart, around the worst one."""
+    """Samples of a bead with unit normals (n, 3) between which the lattice's angles may change.
+
+    They cover all of it or, if it winds round so often that they would be too far apart, the part around the worst.
+    """
     first, last = 0, len(normals) - 1
     while True:
         count = min(last + 1 - first, _RUNGS)
@@ -224,7 +227,7 @@ def _rungs(normals: Array, worst: int) -> Ints:
 
 
 def _lattice(low: float, high: float, step: float) -> tuple[Array, bool]:
-    """Angles of an axis, both ends among them, and whether they go round: of a range so wide that it has no ends."""
+    """Angles of an axis, both ends among them, and whether they form a circle: if the range is as good as unbounded."""
     if high - low >= _WIDE:
         n = int(np.ceil(2.0 * np.pi / step))
         return np.asarray(2.0 * np.pi / n * np.arange(n)), True
@@ -233,8 +236,11 @@ def _lattice(low: float, high: float, step: float) -> tuple[Array, bool]:
 
 @njit
 def _least_way(up, normals, round_a, round_b):
-    """The greatest least cosine between `up` (na, nb, 3) and normals (r, 3) of any way from rung to rung over the lattice, which
-    goes round in either index or not; at a rung it may go from cell to neighbour as far as it likes."""
+    """The largest minimum cosine between `up` (na, nb, 3) and normals (r, 3) of any way over the lattice.
+
+    round_a, round_b: whether the lattice is periodic in each index. At a rung, the way may go from cell to neighbour as
+    far as it likes.
+    """
     na, nb = up.shape[0], up.shape[1]
     here, least = np.empty((na, nb)), np.full((na, nb), 1.0)
     for k in range(len(normals)):

@@ -1,4 +1,4 @@
-"""Nodes of the ladder graph: postures at rungs, with what each would cost while it is held."""
+"""Nodes of the ladder graph: postures at rungs, with what each costs while it is held."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ from planner.resolve.reach import (
 )
 
 # ----------------------------------------------------------------------------------------------------
-# Compiled body of the ladder's nodes: inverse kinematics, Jacobian, and the time that the limits would take.
+# Compiled body of the ladder's nodes: inverse kinematics, Jacobian, and the time lost to the joints' limits.
 
-RAMP_SHARE = 0.7  # of the joints' acceleration, for gaining and losing speed: bends need the rest
-_ROUNDING = 1e-9  # rad: what is as near to a limit as may be is judged once, of all joints together
+RAMP_SHARE = 0.7  # share of the joints' acceleration for speeding up and slowing down: bends need the rest
+_ROUNDING = 1e-9  # rad by which the solver may miss a limit: limits are checked once, for all joints together
 
 
 @inner_njit
 def _sigma(Ji, enough, M, S) -> float:
-    """Smallest singular value of a Jacobian from its inverse Ji (6, 6), as `largest_singular_value` has it; or `enough`
-    if it is no less than that. M, S (6, 6) are room."""
+    """Smallest singular value of a Jacobian from its inverse Ji (6, 6), by `largest_singular_value`; or `enough` if it
+    is at least that. M, S (6, 6) are scratch."""
     square = 0.0
     for i in range(6):
         for j in range(6):
@@ -66,11 +66,11 @@ def _sigma(Ji, enough, M, S) -> float:
 
 @inner_njit
 def _time_lost(Ji, solved, twist, rate, weight, v_max, a_max, speeds, x, gain) -> float:
-    """Time [s] that the joints' limits take from n samples, with the Jacobian's inverse Ji of their middle.
+    """Time [s] lost to the joints' limits over n samples, with the inverse Jacobian Ji at their middle.
 
-    twist, rate (n, 6) in the frame of Ji; weight (n). speeds (n, 6) and x, gain (n) are room for the joints' speeds, for
-    the squared speed over the commanded one and for how fast it may change: first what the path's bends allow, then,
-    forwards and backwards, what can be gained or lost along the path.
+    twist, rate (n, 6) in the frame of Ji; weight (n). Scratch: speeds (n, 6) for the joints' speeds; x (n) for the
+    squared ratio of speed to commanded speed, first as the path's bends allow, then, forwards and backwards, as it can
+    be gained and lost along the path; gain (n) for how fast it may change.
     """
     n = len(weight)
     slowest = 1.0
@@ -118,7 +118,7 @@ def _time_lost(Ji, solved, twist, rate, weight, v_max, a_max, speeds, x, gain) -
 
 @inner_njit
 def _turned(R, twist, out) -> None:
-    """Fill out (n, 6) with twists (n, 6), or their rates, whose frame is turned by R (at least 3, 3)."""
+    """Fill out (n, 6) with twists (n, 6), or their rates, turned by R (at least 3, 3)."""
     for i in range(len(twist)):
         for a in range(3):
             out[i, a] = R[a, 0] * twist[i, 0] + R[a, 1] * twist[i, 1] + R[a, 2] * twist[i, 2]
@@ -126,8 +126,8 @@ def _turned(R, twist, out) -> None:
 
 
 class NodeFloors(NamedTuple):
-    """What a node must have: min_sigma, the least singular value; upright, the cosine of the surface normal's lean beyond
-    which cones cannot be kept to, which is priced; and the nozzle's share of that lean, as in `SampledTasks`."""
+    """What a node must keep: min_sigma, the least singular value; upright, the cosine of the surface normal's lean
+    beyond which cones cannot be kept (priced, not forbidden); lean, the nozzle's share of it, as in `SampledTasks`."""
 
     min_sigma: float
     upright: float
@@ -175,7 +175,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
         n_here = stop[r] - start[r]
         own_twist, own_rate = twist[here].copy(), rate[here].copy()
         speeds, x, gain = np.empty((n_here, 6)), np.empty(n_here), np.empty(n_here)
-        bodies = workspace_for(table)  # anew: what it remembers of other rungs would depend on the threads
+        bodies = workspace_for(table)  # new for each rung: what it remembers of others would depend on the threads
         head = np.full(n_rolls, -1, dtype=np.int8)
         for h in range(swept.holder.shape[1]):
             posture[0, na + h] = swept.holder[r, h]
@@ -192,7 +192,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                 posture[0, swept.joint] = angle
             part_pose(swept, r, angle, room)
             lean_nozzle(T_world_task, floors.lean, R, T_rolled)
-            if kind == SPHERICAL_WRIST:  # whose rates are known in its base's frame, not in that of the part
+            if kind == SPHERICAL_WRIST:  # its inverse Jacobian is in its base frame, not in the part frame
                 mul4(T_base_world, T_world_part, T_rolled)
                 _turned(T_rolled, twist[here], own_twist)
                 _turned(T_rolled, rate[here], own_rate)
@@ -219,7 +219,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                     away = nearest_turns(branch_q[k], middle, q_min, q_max, limits.turns)
                     if away < limits.room:
                         continue
-                    # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
+                    # flipping a spherical wrist keeps its axes, one of them reversed: same rates and sigma
                     pair = k // 2 if kind == SPHERICAL_WRIST else k
                     if known[pair] < 0:
                         if kind == SPHERICAL_WRIST:
@@ -249,22 +249,23 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
 
 
 # ----------------------------------------------------------------------------------------------------
-# Nodes of the ladder graph: postures at rungs, with what each would cost while it is held.
+# Nodes of the ladder graph: postures at rungs, with what each costs while it is held.
 #
 # A node is a roll, a holder angle and a branch. Its price is in seconds: the time that the joints' limits would
-# take away from a print at the commanded speed if roll and holder rested there, plus margins' worth of time.
+# cost a print at the commanded speed with roll and holder at rest there, plus what small margins are worth.
 
 
 @dataclass(frozen=True)
 class Grid:
     """Which rolls, branches and angles of one chosen joint are tried at each rung (r rungs).
 
-    The chosen joint that is tried, the swept one, is called the holder here, which it mostly is.
+    The chosen joint that is varied, the swept one, is called the holder here, which it usually is.
 
     roll_step, holder_step [rad]; roll_from, holder_from (r) first grid index of each rung's window, so that a
     node's roll is (roll_from + i) * roll_step; rolls, holders: the window's widths; periodic: the windows are
     the whole circle; branch (r, c) branch numbers to try
-    swept: which of the cell's chosen joints is tried, None: none of them; held (r, k): angles of all chosen joints, used for the others
+    swept: which of the cell's chosen joints is varied, None for none; held (r, k): angles of all chosen joints, used
+    for the others
     """
 
     roll_step: float
@@ -290,9 +291,13 @@ class Grid:
 
 @dataclass(frozen=True)
 class Nodes:
-    """q (r, rolls, holders, c, na) arm joints, each within pi of the middle of its range; price (same less 6) [s],
-    infinite where there is no posture; the grid that they stand on; joint: index of the swept one among all joints,
-    beyond them where there is none; scale: zero and unit of its values, see `grid_scale`."""
+    """Postures and prices on a grid.
+
+    q (r, rolls, holders, c, na)   arm joints, each within pi of the middle of its range
+    price (r, rolls, holders, c)   [s], infinite where there is no posture
+    joint, scale                   index of the swept joint among all joints, beyond them if there is none; zero and
+                                   unit of its values, see `grid_scale`
+    """
 
     grid: Grid
     q: NDArray[np.float32]
@@ -301,12 +306,12 @@ class Nodes:
     scale: tuple[float, float] = (0.0, 1.0)
 
     def swept_at(self, index: Ints | int) -> Array:
-        """Places [rad, m] of the swept joint at grid indices."""
+        """Values [rad, m] of the swept joint at grid indices."""
         zero, unit = self.scale
         return np.asarray(zero + unit * index * self.grid.holder_step)
 
     def holder_joints(self, cell: Cell, rung: int) -> Array:
-        """Joints (holders, nh) of what holds the part, at a rung's angles of the swept joint."""
+        """Holder joints (holders, nh) at a rung's angles of the swept joint."""
         grid, k = self.grid, len(cell.chosen)
         rung %= len(self.price)
         chosen = np.repeat(grid.chosen(len(self.price), k)[rung : rung + 1], self.price.shape[2], axis=0)
@@ -334,8 +339,10 @@ def full_grid(
 
 
 def evaluate(cell: Cell, demand: SampledTasks, grid: Grid, min_sigma: float, obstacles: Obstacles = NOTHING) -> Nodes:
-    """Postures and prices of every node of a grid. Where the nozzle may tilt, that may give the head its clearance from
-    part and print, which is not asked for here then."""
+    """Postures and prices of every node of a grid.
+
+    Where the nozzle may tilt, the head need not be clear of part and print here: tilt may still provide that.
+    """
     nodes, fill = nodes_to_fill(cell, demand, grid, min_sigma)
     fill(np.arange(len(demand.rung)), obstacles)
     return nodes
@@ -344,7 +351,7 @@ def evaluate(cell: Cell, demand: SampledTasks, grid: Grid, min_sigma: float, obs
 def nodes_to_fill(
     cell: Cell, demand: SampledTasks, grid: Grid, min_sigma: float
 ) -> tuple[Nodes, Callable[[Ints, Obstacles], None]]:
-    """Nodes without a posture yet, and what evaluates those of some rungs, as `evaluate` does; also once more."""
+    """Nodes without postures yet, and a function that (re-)evaluates those of some rungs as `evaluate` does."""
     r, na = len(demand.rung), len(cell.arm)
     swept = swept_joint(cell, grid.swept, grid.chosen(r, len(cell.chosen)))
     shape = (r, grid.rolls, grid.holders, grid.branch.shape[1])

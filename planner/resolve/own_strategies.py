@@ -1,6 +1,6 @@
-"""Strategies of a user's own: how they join those of the planner, and what they are asked and must answer.
+"""A user's own strategies: how they join those of the planner, what they are given, and what they must return.
 
-What a strategy answers is timed, travelled between and verified as that of any other; what it answers wrongly is told here.
+Their paths are timed, joined by travel and verified as those of any other strategy; wrong results are reported here.
 """
 
 from __future__ import annotations
@@ -27,34 +27,44 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 
 
 class OwnStrategy(Protocol):
-    """A way to decide what beads leave free; any function with these arguments.
-
-    cell       the robots, their kinematics and limits
-    tasks      one for each bead in print order, with its run-in and run-out: what the nozzle has to follow
-    settings   `problem.resolve`
-    obstacles  what postures are to be clear of, see `obstacles.margins`; verification looks at it in any case
-
-    Answers a `JointPath` for each task, in their order, such as `joint_paths` makes. Raises Refusal where there is none.
-    """
+    """A way to decide what beads leave free; any function with these arguments."""
 
     def __call__(
         self, cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles
     ) -> Sequence[JointPath]:
-        """Joint paths of all beads."""
+        """Joint paths of all beads.
+
+        Args:
+            cell: The robots, their kinematics and limits.
+            tasks: One for each bead in print order, with its run-in and run-out: what the nozzle has to follow.
+            settings: The problem's section `problem.resolve`.
+            obstacles: What postures are to be clear of, see `obstacles.margins`; verification checks it in any case.
+
+        Returns:
+            A `JointPath` for each task, in order, such as `joint_paths` makes.
+
+        Raises:
+            Refusal: If there is no path.
+        """
         ...
 
 
 def register_strategy(name: str, strategy: OwnStrategy) -> None:
-    """Have `solve(problem, strategy=name)` plan with a strategy of one's own; it then stands in STRATEGIES.
+    """Register a strategy of your own for `solve(problem, strategy=name)`; it is added to STRATEGIES.
 
-    name: a letter, then letters, digits or _; one of one's own that was registered before is replaced
-    Raises InputError for a name that is none, or the planner's own, and for what cannot be called.
+    Args:
+        name: A letter, then letters, digits or _, at most 32 characters in all; a strategy of your own already
+            registered by that name is replaced.
+        strategy: The function, see `OwnStrategy`.
+
+    Raises:
+        InputError: If the name is invalid or one of the planner's own, or if the strategy cannot be called.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         hint = "a letter, then letters, digits or _, at most 32 characters in all"
-        raise InputError(f"{name!r} is no name of a strategy", field="name", hint=hint)
+        raise InputError(f"{name!r} is not a valid strategy name", field="name", hint=hint)
     if name in STRATEGY_NAMES:
-        raise InputError(f"{name} is a strategy of the planner's own", field="name", hint=f"for example my_{name}")
+        raise InputError(f"{name} is one of the planner's own strategies", field="name", hint=f"for example my_{name}")
     check_callable(strategy, "strategy")
 
     def checked(
@@ -73,21 +83,31 @@ def joint_paths(
     chosen: Sequence[ArrayLike] | None = None,
     branches: Sequence[int] | None = None,
 ) -> tuple[JointPath, ...]:
-    """Joint paths that hold tasks exactly, for what they leave free, each with the nozzle that lays its material; whole
-    turns are chosen so that travel is short.
+    """Joint paths that follow tasks exactly, for given values of what these leave free.
 
-    rolls     for each task: roll (n) about the nozzle's axis at its samples [rad], or one for all
-    tilts     for each task: rotation vectors (n, 2) of the axis in the task's frames [rad]; the axis on the normal, if not given
-    chosen    for each task: joints (n, k) that are chosen and not solved for (`cell.chosen`: a table, a rail, an elbow), or
-              (k) for all samples; where they rest, if not given
-    branches  for each task: branch of the inverse kinematics; that of the home posture, if not given
+    Each uses the nozzle that lays its material; whole turns are chosen so that travel is short.
 
-    Raises Refusal, with the place, where a pose is out of reach or outside a joint's range; InputError for wrong shapes.
+    Args:
+        cell: The cell that a strategy is given.
+        tasks: The tasks that a strategy is given.
+        rolls: For each task: roll (n,) about the nozzle's axis at its samples [rad], or one value for all.
+        tilts: For each task: rotation vectors (n, 2) of the axis in the task's frames [rad]; by default, the axis is
+            along the normal.
+        chosen: For each task: joints (n, k) that are chosen, not solved for (`cell.chosen`: a table, a rail, an elbow),
+            or (k,) for all samples [rad; m for sliding joints]; by default, where they rest.
+        branches: For each task: branch of the inverse kinematics; by default, that of the home posture.
+
+    Returns:
+        A path for each task, in order.
+
+    Raises:
+        Refusal: If a pose is out of reach or outside a joint's range, with the place.
+        InputError: If shapes are wrong.
     """
-    as_one_of(cell, Cell, "cell", "what a strategy is given")
+    as_one_of(cell, Cell, "cell", "the one a strategy is given")
     tasks = as_list(tasks, "tasks", "tasks")
     for i, task in enumerate(tasks):
-        as_one_of(task, NozzleTask, f"tasks[{i}]", "what a strategy is given")
+        as_one_of(task, NozzleTask, f"tasks[{i}]", "one that a strategy is given")
     if not tasks:
         return ()
     na, k = len(cell.arm), len(cell.chosen)
@@ -98,7 +118,7 @@ def joint_paths(
     branches = None if branches is None else _for_each("branches", branches, tasks)
     rest = at_rest(cell)
     asked = []
-    for i, task in enumerate(tasks):  # all that is wrong is told before anything is computed
+    for i, task in enumerate(tasks):  # report all that is wrong before computing anything
         n = len(task)
         roll = _broadcast(f"rolls[{i}]", rolls[i], ((n,), ()), (n,))
         tilt = np.zeros((n, 2)) if tilts is None else _broadcast(f"tilts[{i}]", tilts[i], ((n, 2),), (n, 2))
@@ -114,10 +134,10 @@ def joint_paths(
 
 
 def _for_each(name: str, given: object, tasks: Sequence[NozzleTask]) -> tuple[Any, ...]:
-    """What was given for each task. Raises InputError for another number of them."""
+    """The values given for the tasks. Raises InputError if their number differs."""
     items = as_list(given, name, "one for each task")
     if len(items) != len(tasks):
-        raise InputError(f"has {len(items)}, there are {len(tasks)} tasks", field=name)
+        raise InputError(f"has {len(items)}, but there are {len(tasks)} tasks", field=name)
     return items
 
 
@@ -129,7 +149,7 @@ def _branch(cell: Cell, value: object, field: str) -> int:
 
 
 def _broadcast(name: str, value: ArrayLike, shapes: Sequence[tuple[int, ...]], to: tuple[int, ...]) -> Array:
-    """Finite numbers of one of some shapes, in the shape of all samples."""
+    """Finite numbers in one of some shapes, broadcast to all samples."""
     try:
         found = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -142,14 +162,12 @@ def _broadcast(name: str, value: ArrayLike, shapes: Sequence[tuple[int, ...]], t
 
 
 def _looked_at(name: str, paths: Any, cell: Cell, tasks: Sequence[NozzleTask]) -> tuple[JointPath, ...]:
-    """What a strategy answered, if it is a joint path for each task; its numbers as kernels take them."""
+    """A strategy's result, checked to be a joint path for each task; its numbers as kernels take them."""
     field = f"strategy {name}"
     if not isinstance(paths, (tuple, list)):
-        raise InputError(
-            f"answers with {type(paths).__name__}", field=field, hint="a JointPath for each task, in a tuple"
-        )
+        raise InputError(f"returned {type(paths).__name__}", field=field, hint="a JointPath for each task, in a tuple")
     if len(paths) != len(tasks):
-        raise InputError(f"answers with {len(paths)} paths, there are {len(tasks)} tasks", field=field)
+        raise InputError(f"returned {len(paths)} paths for {len(tasks)} tasks", field=field)
     joints = len(cell.joint_names)
     taken = []
     for i, (path, task) in enumerate(zip(paths, tasks, strict=True)):
@@ -157,7 +175,7 @@ def _looked_at(name: str, paths: Any, cell: Cell, tasks: Sequence[NozzleTask]) -
             hint = "a JointPath, such as joint_paths makes"
             raise InputError(f"path {i} is of type {type(path).__name__}", field=field, hint=hint)
         if path.task is not task:
-            raise InputError(f"path {i} is of another task than task {i}", field=field)
+            raise InputError(f"path {i} does not belong to task {i}", field=field)
         found: dict[str, Any] = {"branch": _branch(cell, path.branch, f"{field}: path {i}")}
         for part, shape in (("q", (len(task), joints)), ("roll", (len(task),)), ("tilt", (len(task), 2))):
             values = getattr(path, part)

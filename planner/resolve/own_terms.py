@@ -1,4 +1,4 @@
-"""A user's own term of the refinement's price: what a path is shown as, what the term answers, and how it joins the others.
+"""A user's own term of the refinement's price: how it sees a path, what it returns, and how it joins the others.
 
     @dataclass(frozen=True)
     class KeepAway:
@@ -7,8 +7,9 @@
 
         def price(self, path: PathSamples) -> SamplePrice: ...
 
-A term sees joints and their speeds at samples and answers with a price, its slopes by these, and how it curves. Splines,
-inverse kinematics and the quadratic program are not its business: slopes by the control values follow by the chain rule.
+A term sees joints and their speeds at samples and returns a price, its slopes with respect to these, and its curvature.
+Splines, inverse kinematics and the quadratic program are not its concern: slopes with respect to the control values
+follow by the chain rule.
 """
 
 from __future__ import annotations
@@ -30,12 +31,14 @@ from planner.resolve.terms import samples_of
 class PathSamples:
     """Samples (n) of a path, as a term sees them; arrays are read-only.
 
-    joints             names of the joints (nj), in the order of the columns
-    q (n, nj)          joint positions [rad; m of joints that slide]
-    qd (n, nj)         their speeds at the commanded speed [rad/s; m/s]
-    max_speed (nj)     the speeds that they may have, less what timing needs [rad/s; m/s]
-    low, high (nj)     ends of their ranges [rad; m]
-    deposits (n)       1 where material is laid down, else 0
+    Attributes:
+        joints: Names of the joints (nj), in the order of the columns.
+        q: Joint positions (n, nj) [rad; m for sliding joints].
+        qd: Joint speeds (n, nj) at the commanded speed [rad/s; m/s for sliding joints].
+        max_speed: Speed limits (nj,) of the joints, less what timing needs [rad/s; m/s for sliding joints].
+        low: Lower ends (nj,) of their ranges [rad; m for sliding joints].
+        high: Upper ends (nj,) of their ranges [rad; m for sliding joints].
+        deposits: Numbers (n,): 1 where material is laid down, else 0.
     """
 
     joints: tuple[str, ...]
@@ -49,12 +52,17 @@ class PathSamples:
 
 @dataclass(frozen=True)
 class SamplePrice:
-    """What samples (n) cost, in seconds a second of printing, and how that changes with joints and speeds.
+    """What samples (n) cost, in seconds per second of printing, and how that changes with joints and speeds.
 
-    price (n)                     not negative; 0.1 at a sample weighs as much as a tenth of its time lost
-    by_q, by_qd (n, nj)           derivatives of the price; None where it does not depend on them
-    curve_q, curve_qd (n, nj)     convex part of the second derivatives, joint by joint, not negative: steps of the
-                                  refinement are as long as these say. None: the price is taken as a straight line
+    The curves decide how long the refinement's steps are.
+
+    Attributes:
+        price: Price (n,), not negative; 0.1 at a sample weighs as much as losing a tenth of its time.
+        by_q: Derivatives (n, nj) of the price by joint positions; None if it does not depend on them.
+        by_qd: Derivatives (n, nj) of the price by joint speeds; None if it does not depend on them.
+        curve_q: Convex part (n, nj) of the second derivatives by positions, joint by joint, not negative; None: the
+            price is treated as linear.
+        curve_qd: The same by joint speeds.
     """
 
     price: Array
@@ -65,10 +73,10 @@ class SamplePrice:
 
 
 class OwnTerm(Protocol):
-    """A term of a user's own, for `solve(problem, terms=[...])`: any object with a name and a price.
+    """A user's own term, for `solve(problem, terms=[...])`: any object with a name and a price.
 
-    `price` is called from several threads with samples of one bead, or a stretch of one, at a time. Samples are priced one
-    by one: what it answers for one must not depend on the others.
+    `price` is called from several threads, each time with samples of one bead or of a stretch of one. Samples are
+    priced one by one: the price of one must not depend on the others.
     """
 
     @property
@@ -76,7 +84,14 @@ class OwnTerm(Protocol):
         """What errors and plan.json call it."""
 
     def price(self, path: PathSamples) -> SamplePrice:
-        """What each sample costs, see `SamplePrice`."""
+        """What each sample costs.
+
+        Args:
+            path: The samples.
+
+        Returns:
+            Their price, with its derivatives, see `SamplePrice`.
+        """
 
 
 @dataclass(frozen=True)
@@ -111,22 +126,28 @@ class Own(Term):
 
 
 def own_terms(terms: Sequence[OwnTerm]) -> tuple[Own, ...]:
-    """Users' terms among the others. Raises InputError for what is no term."""
+    """A user's terms, wrapped to join the others. Raises InputError for anything that is not a term."""
     for i, term in enumerate(terms):
         if not isinstance(getattr(term, "name", None), str) or not callable(getattr(term, "price", None)):
-            hint = "an object with a name (a text) and a method price(path)"
-            raise InputError(f"{term!r} is no term", field=f"terms[{i}]", hint=hint)
+            hint = "an object with a name (a string) and a method price(path)"
+            raise InputError(f"{term!r} is not a term", field=f"terms[{i}]", hint=hint)
     return tuple(Own(term) for term in terms)
 
 
 def check_term(term: OwnTerm, path: PathSamples, step: float = 1e-6, tolerance: float = 1e-4) -> None:
-    """Compare the derivatives of a term with differences of its price, over samples such as `random_samples` makes.
+    """Compare a term's derivatives with finite differences of its price, over samples such as `random_samples` makes.
 
-    step       by which positions and speeds are moved to both sides [rad, rad/s]
-    tolerance  greatest difference, as a share of the greatest slope
+    A kink between the two points that are compared counts as a difference.
 
-    Raises InputError, with the joint and the sample where the difference is greatest; also for a curve that is negative,
-    for wrong shapes, and for what is not finite. A kink between two samples that are compared counts as a difference.
+    Args:
+        term: The term to check.
+        path: The samples.
+        step: By how much positions and speeds are moved to both sides [rad, rad/s; m, m/s for sliding joints].
+        tolerance: Greatest difference allowed, as a share of the greatest slope, or of 1 if that is less.
+
+    Raises:
+        InputError: If a derivative differs, with the joint and the sample where the difference is greatest; also for
+            negative curves, wrong shapes and values that are not finite.
     """
     (own,) = own_terms([term])
     said = _checked(own.term, path)
@@ -142,14 +163,23 @@ def check_term(term: OwnTerm, path: PathSamples, step: float = 1e-6, tolerance: 
         off = np.abs(seen - claimed)
         if off.max() > tolerance * max(1.0, float(np.abs(seen).max())):
             i, j = divmod(int(off.argmax()), off.shape[1])
-            reason = f"by_{which} of {path.joints[j]} is {claimed[i, j]:.6g} at sample {i}, differences give {seen[i, j]:.6g}"
+            reason = f"by_{which} of {path.joints[j]} is {claimed[i, j]:.6g} at sample {i}, finite differences give {seen[i, j]:.6g}"
             raise InputError(
                 reason, field=f"term {term.name}", hint="the derivative of price by each joint of each sample"
             )
 
 
 def random_samples(joints: Sequence[str], samples: int = 200, seed: int = 0) -> PathSamples:
-    """Samples to try a term on: joints within half a turn of zero (half a metre, for a check), speeds up to 1 rad/s."""
+    """Samples to try a term on.
+
+    Args:
+        joints: Names of the joints (nj).
+        samples: Number n of samples.
+        seed: Seed of the random numbers.
+
+    Returns:
+        Joints within pi of zero [rad; m for sliding joints], speeds up to 1 rad/s or m/s.
+    """
     rng = np.random.default_rng(seed)
     nj = len(joints)
     return PathSamples(
@@ -169,10 +199,10 @@ def _with(path: PathSamples, which: str, values: Array) -> PathSamples:
 
 
 def _checked(term: OwnTerm, path: PathSamples) -> SamplePrice:
-    """What a term answers. Raises InputError where that is not as `SamplePrice` says."""
+    """A term's price of samples. Raises InputError if it is not as `SamplePrice` requires."""
     answer, field = term.price(path), f"term {term.name}"
     if not isinstance(answer, SamplePrice):
-        raise InputError(f"price gives {type(answer).__name__}", field=field, hint="give a SamplePrice")
+        raise InputError(f"price returned {type(answer).__name__}", field=field, hint="return a SamplePrice")
     n, nj = path.q.shape
     shapes = {"price": (n,), "by_q": (n, nj), "by_qd": (n, nj), "curve_q": (n, nj), "curve_qd": (n, nj)}
     for part, shape in shapes.items():

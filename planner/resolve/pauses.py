@@ -1,7 +1,7 @@
 """Where a bead has to pause: the fewest places at which the arm leaves it, for another branch or to unwind a joint.
 
-The ladder's search once more, one bead at a time. At a rung the nozzle may leave the bead and come back in any posture, at a
-price above all others, and turns are counted of the joints that would turn further than their ranges.
+The ladder's search again, one bead at a time. At a rung, the nozzle may leave the bead and come back in any posture, at
+a price above all others, and turns are counted for joints that would otherwise turn further than their ranges.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from planner.resolve.search import joint_limits, label_turns, ladder_numbers, ma
 from planner.toolpath.task import NozzleTask
 
 _MOST_COUNTED = 3  # joints whose whole turns are counted at once
-_MOST_LABELS = 4096  # of their turns together: the search takes as many times as long
+_MOST_LABELS = 4096  # combinations of their turns: the search takes that many times as long
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,11 @@ class Pause:
 
 @dataclass(frozen=True)
 class _Way:
-    """A bead's way with the fewest pauses: nodes and labels (r, 4) that it comes to at its rungs and goes on from, the joints
-    whose turns are counted, and what turns (labels, m) a label stands for."""
+    """A way along a bead with the fewest pauses.
+
+    came, left (r, 4): nodes and labels at which it arrives at its rungs, and from which it goes on
+    counted: joints whose turns are counted; turns (labels, m): those that a label stands for
+    """
 
     came: Ints
     left: Ints
@@ -56,10 +59,10 @@ def pauses_of(
     least_piece: float,
     room: float,
 ) -> tuple[Pause, ...] | None:
-    """The fewest pauses with which a bead can be followed on its whole grid, in order; none if it can be in one go.
+    """The fewest pauses with which a bead can be followed on its whole grid, in order; empty if it needs none.
 
-    None where pauses do not help. The first and the last piece are no shorter than `least_piece` [m]; what winds
-    keeps `room` [rad] from the ends of its range.
+    None if pauses do not help. The first and last pieces are no shorter than `least_piece` [m]; joints that wind keep
+    `room` [rad] from the ends of their ranges.
     """
     s = task.s[demand.rung]
     begin, end = task.s[[task.first, task.last]]
@@ -72,9 +75,9 @@ def pauses_of(
 
 
 def _fewest(cell: Cell, demand: SampledTasks, nodes: Nodes, may: Flags, room: float) -> _Way | None:
-    """The way with the fewest pauses, which may be made at some rungs (r); of those the cheapest, about.
+    """A way with the fewest pauses, roughly the cheapest such one; it pauses only at rungs that `may` (r) marks.
 
-    Turns are counted only of joints that turned further than their ranges without that.
+    Turns are counted only for joints that would otherwise turn further than their ranges.
     """
     limits = joint_limits(nodes, cell.limits)._replace(jump=FAR)
     counted: list[int] = []
@@ -113,7 +116,7 @@ def _sweeps_round(cell: Cell, nodes: Nodes) -> bool:
 
 
 def _overwound(cell: Cell, nodes: Nodes, way: _Way, room: float) -> set[int]:
-    """Joints (the search's) that turn further than their ranges along a piece of a bead, however they are turned."""
+    """Joints (the search's) that turn further than their ranges along a piece of a bead, whatever turns are added."""
     na = len(cell.arm)
     joints = [*range(na)] + ([na] if _sweeps_round(cell, nodes) else [])
     every = [_index(cell, nodes, k) for k in joints]
@@ -131,7 +134,7 @@ def _overwound(cell: Cell, nodes: Nodes, way: _Way, room: float) -> set[int]:
 
 
 def _unwound(cell: Cell, nodes: Nodes, way: _Way, rung: int) -> str:
-    """Name of the joint that has other whole turns behind a pause than before; empty if it is none."""
+    """Name of the joint whose whole turns differ before and after a pause; empty if none do."""
     other = np.abs(way.turns[way.came[rung, 3]] - way.turns[way.left[rung, 3]])
     if not other.any():
         return ""

@@ -1,4 +1,4 @@
-"""Compiled: what the terms of a path's price cost, their part of the quadratic program around it, and what that watches."""
+"""Compiled: the terms of a path's price, their parts of the quadratic program around it, and what that watches."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from planner.resolve.prices import (
 from planner.resolve.quadratic import SUMS
 
 # ----------------------------------------------------------------------------------------------------
-# What a path costs, compiled: one function for each term of `terms`, where the formulas stand.
+# What a path costs, compiled: one function for each term of `terms`, where the formulas are given.
 #
-# The price of a path is in seconds. At the commanded speed v the joints' rates are known from the path, so each
-# sample has a greatest speed that the limits allow, v / (1 + slack): the slack is the share of its time that is lost.
+# The price of a path is in seconds. At the commanded speed v, the joints' rates follow from the path, so each sample
+# has a greatest speed that the limits allow, v / (1 + slack): the slack is the share of its time that is lost.
 
 
 @njit
@@ -44,7 +44,7 @@ def differentiate(values, centre, D, out) -> None:
 
 @inner_njit
 def allowed(order: int, slack: float):
-    """Bound of a rate's share of its limit at a slack, linear from there on, and its slope: (1 + slack)^order."""
+    """Bound (1 + slack)^(order + 1) on a rate, as a share of its limit, and the bound's slope by the slack."""
     if order == 0:
         return 1.0 + slack, 1.0
     if order == 1:
@@ -54,7 +54,7 @@ def allowed(order: int, slack: float):
 
 @inner_njit
 def lost(slack: float) -> float:
-    """Price a second of a slack: the time lost, and that there is a dip at all."""
+    """Price per second of a slack: for the time lost, and for there being a dip at all."""
     return slack + DIP_PRICE * slack / (slack + DIP)
 
 
@@ -88,7 +88,7 @@ def price_time_lost(step, deposits, slack):
 
 @njit
 def price_effort(rates, limits, step, peak):
-    """Price [s] of the joints' rates (n, 3, nj), and of peaks of their speed: its eighth power, PEAK_PRICE at `peak`."""
+    """Price [s] of the joints' rates (n, 3, nj), and of speed peaks: the eighth power, PEAK_PRICE at `peak`."""
     n, _, nj = rates.shape
     total = 0.0
     for i in range(n):
@@ -106,7 +106,7 @@ def price_effort(rates, limits, step, peak):
 
 @njit
 def price_singularity(weight, step, deposits, sigma, least_sigma):
-    """Price [s] of closeness to singularities, `weight` times; and of least singular values sigma (n) below the least."""
+    """Price [s] of closeness to singularities, `weight` times; and of singular values sigma (n) below `least_sigma`."""
     total = 0.0
     for i in range(sigma.size):
         close = max(0.0, SIGMA_COMFORT / sigma[i] - 1.0)
@@ -117,7 +117,7 @@ def price_singularity(weight, step, deposits, sigma, least_sigma):
 
 @njit
 def price_joint_limits(weight, step, q, low, high):
-    """Price [s] of closeness to the ends low, high (na) of the arm's joints' ranges, `weight` times; and of going beyond."""
+    """Price [s] of closeness to the ends low, high (na) of the arm's ranges, `weight` times; and of exceeding them."""
     total = 0.0
     for i in range(len(q)):
         cost = 0.0
@@ -130,12 +130,12 @@ def price_joint_limits(weight, step, q, low, high):
 
 
 # ----------------------------------------------------------------------------------------------------
-# What a program watches of rates and ends of ranges, compiled: what is near from the start, and what a step has missed.
+# Which rates and ends of ranges a program watches, compiled: those near from the start, and those that a step violates.
 
 NEAR_RATE = 0.7  # share of a rate's limit above which the program watches it from the start
-MISSED = 1e-2  # slack that a rate must ask for beyond the watched ones before the program watches it too
-_NEAR_END = 0.7  # of what a step may move a joint: who is as near to the end of its range has it watched from the start
-_MISSED_END = 1e-5  # rad beyond that end that the program must go before it watches it too
+MISSED = 1e-2  # slack that a rate must require beyond the watched ones before the program watches it too
+_NEAR_END = 0.7  # share of what a step may move a joint: an end of its range that close is watched from the start
+_MISSED_END = 1e-5  # rad that a step must exceed an end by before the program watches it too
 
 
 @njit
@@ -152,7 +152,7 @@ def watch_near(rates, limits, deposits, slack, watch) -> None:
 
 @njit(fastmath=SUMS)
 def watch_missed(rates, limits, deposits, slack, slopes, at, x, watch):
-    """Mark the rates that a step x takes beyond what the watched ones of their sample ask for; returns how many.
+    """Mark the rates that a step x takes beyond the slack that the watched ones of their sample need; returns how many.
 
     slopes (n, 3 nj, w) are those of `rate_slopes`, from the variable at (n) on.
     """
@@ -187,8 +187,8 @@ def watch_missed(rates, limits, deposits, slack, slopes, at, x, watch):
 
 @njit
 def watch_near_ends(q, G, low, high, step, trust, watch) -> None:
-    """Mark in watch (n, na) the arm's joints that a share of a step within `trust` [rad] may take to the end of their range
-    that is nearer now."""
+    """Mark in watch (n, na) the arm's joints that a share of a step within `trust` [rad] may take to the nearer end of
+    their range."""
     for i in range(len(q)):
         if step[i] > 0.0:
             for j in range(low.size):
@@ -214,10 +214,10 @@ def watch_missed_ends(now, then, low, high, step, watch):
 
 
 # ----------------------------------------------------------------------------------------------------
-# The quadratic program around a path, compiled: what each term adds, to first order, with a convex second one.
+# The quadratic program around a path, compiled: what each term adds, to first order, with a convex second-order part.
 
-NEAR_SIGMA = 1.3  # times the least singular value allowed below which the program has a row for it
-_TOGETHER = 8  # samples at most whose effort is one product of matrices: few enough for one thread
+NEAR_SIGMA = 1.3  # × the least singular value allowed, below which the program has a row for it
+_TOGETHER = 8  # greatest number of samples whose effort is one product of matrices: few enough for one thread
 
 
 class SplineSamples(NamedTuple):
@@ -251,8 +251,8 @@ class RowsFilled(NamedTuple):
 def rate_slopes(limits, G, centre, D, first, B, free, slopes) -> None:
     """Fill slopes (n, 3 nj, w) with the slopes of the rates, as shares of their limits, by the control values.
 
-    free (controls) is 1 for those that may move, else 0. q(t) moves by G(t) times the spline of x: its rates by the
-    product rule, with rates of G by differences.
+    free (controls) is 1 for those that may move, else 0. q(t) moves by G(t) times the spline of x: its rates follow by
+    the product rule, with those of G from finite differences.
     """
     n, nj, m = G.shape
     nb = B.shape[2]
@@ -298,8 +298,9 @@ def foreseen(q, G, moved):
 
 @njit(fastmath=SUMS)
 def expand_effort(weight, limits, samples, rates, peak, slopes, H, g) -> None:
-    """Add effort and peaks to the program, `weight` times: H (n, w), a lower band, and g (n). g is exact, H what is convex:
-    of effort its slope over the rate, of peaks all of it.
+    """Add effort and peaks to the program, `weight` times: H (n, w), a lower band, and g (n).
+
+    g is exact, H the convex part: for effort its slope over the rate, for peaks all of it.
 
     samples: SplineSamples; rates (n, 3, nj); peak [rad/s]: see `price_effort`; slopes (n, 3 nj, w): of `rate_slopes`
     """
@@ -369,7 +370,7 @@ def expand_singularity(weight, samples, sigma, sigma_slope, H, g) -> None:
 
 @inner_njit
 def _row_of(i, factor, by_z, first, B, free, row) -> None:
-    """Fill row (w) with factor times the slope by the control values of what has the slope by_z (m) at sample i."""
+    """Fill row (w) with factor times a slope by the control values, from the slope by_z (m) at sample i."""
     m = by_z.size
     for e in range(B.shape[2]):
         share = factor * B[i, 0, e] * free[first[i] + e]
@@ -379,8 +380,8 @@ def _row_of(i, factor, by_z, first, B, free, row) -> None:
 
 @njit
 def count_rows(wanted, flags):
-    """Rows (n) and groups (n) of samples that are wanted (n), which have a row for each flag (n, b, f) that is set, those of
-    a b in one group."""
+    """Numbers of rows (n) and groups (n) of the samples that are wanted (n): a row for each flag (n, b, f) that is set,
+    a group for those of each b."""
     n, groups_at_most, flags_of_group = flags.shape
     rows, groups = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     for i in range(n):
@@ -398,7 +399,7 @@ def count_rows(wanted, flags):
 
 @njit
 def places_of(counts):
-    """Where what each term counts (terms, n) begins, sample by sample and in the order of terms, and how much there is."""
+    """Where each term's counts (terms, n) begin, sample by sample and in the order of terms, and their total."""
     terms, n = counts.shape
     places = np.empty((terms, n), dtype=np.int64)
     total = 0
@@ -413,7 +414,8 @@ def places_of(counts):
 def rows_of_rates(weight, limits, samples, rates, slack, slopes, watch, places, rows) -> None:
     """Fill the rows of watched rates: all of a sample's are a group, whose slack is lost time, priced `weight` times.
 
-    samples: SplineSamples; slopes (n, 3 nj, w): of `rate_slopes`; watch (n, 3, nj, 2); places: RowPlaces, rows: RowsFilled
+    samples: SplineSamples; slopes (n, 3 nj, w): of `rate_slopes`; watch (n, 3, nj, 2); places: RowPlaces, rows:
+    RowsFilled
     """
     step, deposits, first, B = samples.step, samples.deposits, samples.first, samples.B
     row, own = places.row, places.group
@@ -511,7 +513,7 @@ def rows_of_cones(samples, lean, lean_slope, cones, watch, places, rows) -> None
 
 @njit
 def expand_tilt(price, samples, lean, lean_slope, H, g) -> None:
-    """Add what the nozzle's lean (n, 2) from the surface normal costs to the program, price [s/s and rad^2] of its square;
+    """Add the nozzle's lean (n, 2) from the surface normal to the program, at a price [s/s per rad^2] of its square;
     lean_slope (n, 2, m)."""
     step, first, B, free = samples.step, samples.first, samples.B, samples.free
     m = lean_slope.shape[2]
@@ -534,7 +536,7 @@ def _add(H, g, at, row, weight, value) -> None:
 
 @njit
 def expand_own(samples, G, speed_slopes, by, curve, H, g) -> None:
-    """Add a user's term to the program: by, curve (2, n, nj) are its slopes and curvatures by joints and by their speeds.
+    """Add a user's term to the program: by, curve (2, n, nj) are its slopes and curvatures by joints and by speeds.
 
     samples: SplineSamples; G (n, nj, m); speed_slopes (n, nj, w) of the joints' speeds by the control values
     """

@@ -1,12 +1,12 @@
-"""As published: what the authors of the four papers did with the motions that their paths leave free.
+"""As published: what the authors of the four papers did with the freedom that their paths leave.
 
-Three ways, `resolve.published`: `turning_table` of Pollard et al., `fixed_heading` of Arigela et al., and `along_path` of
-Tawfik et al. Onstein et al. have points and normals, and no turn about these: `fixed_heading` adds nothing to them.
+Three ways, `resolve.published`: `turning_table` of Pollard et al., `fixed_heading` of Arigela et al., and `along_path`
+of Tawfik et al. Onstein et al. have points and normals, but no turn about these: `fixed_heading` adds nothing to them.
 
-All leave an angle to whoever writes the program: the heading, by which the tool is turned about the nozzle. Where the part is
-held still by an axis that could turn it, another one is left: where that holds it. The papers say that their programs were
-checked for reach and singularities, not how these angles were found. Here they are the nearest to the home posture that pass
-such a check.
+All leave an angle to the programmer: the heading, by which the tool is turned about the nozzle. Where an axis that
+could turn the part holds it still, the angle at which it does so is left as well. The papers say that their programs
+were checked for reach and singularities, but not how these angles were found. Here, they are those nearest to the home
+posture that pass such a check.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from planner.resolve.by_nozzle import with_each_nozzle
 from planner.resolve.joint_path import JointPath, at_rest, choose_turns, gone_along, postures, turns_within, upright
 from planner.toolpath.task import NozzleTask
 
-SAMPLES = 500  # of the whole print, on which angles are checked before its paths are made
-_ROUNDING = 1e-9  # rad, of an angle at an end of its range; and of a singular value
+SAMPLES = 500  # samples of the whole print on which angles are checked before its paths are made
+_ROUNDING = 1e-9  # rad of an angle at an end of its range; also for singular values
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class _Course:
 
 @dataclass(frozen=True)
 class _Angles:
-    """What is left to the programmer: the heading, and where the part is held, both from home [rad]."""
+    """What is left to the programmer: the heading, and the angle at which the part is held, both from home [rad]."""
 
     heading: float
     held: float
@@ -56,15 +56,16 @@ class _Angles:
 def as_published(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
     """The published way that `settings` names, on the home posture's branch.
 
-    turning_table  the nozzle's direction in the world stays that of home, as nearly as the table's last axis allows
-                   (Pollard, eq. 2 and section 3); on a fixed bed the nozzle leans from home by the least turn. Singularities
-                   are not looked at: the paper does not.
-    fixed_heading  the part is held, and the nozzle leans from its heading by the least turn (Arigela, section 2.3.2: on a
-                   wing by turns about its span)
-    along_path     the part is held, and the nozzle's x keeps its angle to the path (Tawfik, section III.A: planes along it)
+    turning_table  the nozzle's direction in the world stays as at home, as closely as the table's last axis allows
+                   (Pollard, eq. 2 and section 3); on a fixed bed the nozzle leans from home by the least turn.
+                   Singularities are not checked, as in the paper.
+    fixed_heading  the part is held, and the nozzle leans from its heading by the least turn (Arigela, section 2.3.2: on
+                   a wing by turns about its span)
+    along_path     the part is held, and the nozzle's x keeps its angle to the path (Tawfik, section III.A: planes along
+                   it)
 
-    A track, which none of them has, goes along with the nozzle. Raises the refusal at home's own angles, where no others serve
-    either.
+    A track, which none of them has, goes along with the nozzle. Raises the Refusal at home's own angles if no others
+    work either.
     """
     way, turning = settings.published, settings.published == "turning_table"
     courses = [_Course(task, _along(task)) for task in tasks]
@@ -81,13 +82,13 @@ def as_published(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec)
 
 
 def _around(step: float) -> Array:
-    """Angles [rad] of a whole turn, about as far apart, 0 among them."""
+    """Angles [rad] over a whole turn, about `step` apart, 0 among them."""
     n = max(int(np.round(np.pi / step)), 1)
     return np.asarray(np.arange(1 - n, n + 1) * (np.pi / n))
 
 
 def _held(cell: Cell, step: float) -> Array:
-    """Angles [rad] from home at which the holder's last axis may hold the part: 0 alone where that slides, or is none."""
+    """Angles [rad] from home at which the holder's last axis may hold the part: just 0 if it slides or is missing."""
     if not len(cell.holder) or cell.holder.slides[-1]:
         return np.zeros(1)
     angles = _around(step)
@@ -99,8 +100,10 @@ def _held(cell: Cell, step: float) -> Array:
 def _checked(
     cell: Cell, courses: Sequence[_Course], way: str, each: Sequence[_Angles], least: float
 ) -> Iterator[_Angles]:
-    """Angles with which some samples are followed: in order those whose least singular value is `least` and more, and after
-    these the others, the least singular ones first."""
+    """Angles with which the arm can follow some of the samples.
+
+    First, in order, those with a least singular value of at least `least`; then the others, the least singular first.
+    """
     few, left = _thinned(courses), []
     for angles in each:
         try:
@@ -119,7 +122,7 @@ def _checked(
 
 
 def _thinned(courses: Sequence[_Course]) -> list[_Course]:
-    """The same at some of their samples, `SAMPLES` in all and the ends of each."""
+    """The courses at some of their samples, about `SAMPLES` in all, with the ends of each."""
     every = max(sum(len(course.task) for course in courses) // SAMPLES, 1)
     few = []
     for course in courses:
@@ -135,7 +138,7 @@ def _thinned(courses: Sequence[_Course]) -> list[_Course]:
 
 
 def _paths(cell: Cell, courses: Sequence[_Course], way: str, angles: _Angles) -> list[JointPath]:
-    """Paths on home's branch, whole turns left open; raises Refusal where there is no posture."""
+    """Paths on home's branch, whole turns still to be chosen; raises Refusal where there is no posture."""
     branch = int(cell.inverse.branches(cell.home[None, : len(cell.arm)])[0])
     paths, offset = [], 0.0
     for i, course in enumerate(courses):
@@ -158,7 +161,7 @@ def _along(task: NozzleTask) -> Array:
 
 
 def _home_roll(cell: Cell, task: NozzleTask, chosen: Array) -> Array:
-    """Roll (n), continuous, that brings the nozzle nearest to its orientation at home: by the least turn of its axis."""
+    """Roll (n), continuous, that brings the nozzle nearest to its orientation at home: by the least turn."""
     R_home = cell.arm.poses(cell.home[None, : len(cell.arm)])[0, :3, :3]
     R_world_part = cell.holder.poses(chosen[:, : len(cell.holder)])[:, :3, :3]
     # the roll that brings the nozzle's x and y closest to home's: maximises the trace of R_home^T R
@@ -167,7 +170,7 @@ def _home_roll(cell: Cell, task: NozzleTask, chosen: Array) -> Array:
 
 
 def _chosen(cell: Cell, task: NozzleTask, way: str, held: float) -> Array:
-    """Chosen joints (n, k): at home but for the holder's last axis, at `held` [rad] from there or turning, and for tracks."""
+    """Chosen joints (n, k): at home, except the holder's last axis, `held` [rad] from there or turning, and tracks."""
     nh = len(cell.holder)
     chosen = np.tile(at_rest(cell), (len(task), 1))
     turns = nh > 0 and not cell.holder.slides[-1]
@@ -182,8 +185,8 @@ def _chosen(cell: Cell, task: NozzleTask, way: str, held: float) -> Array:
 
 
 def _turn_to_face(cell: Cell, task: NozzleTask, chosen: Array) -> Array:
-    """Angles (n) of the holder's last axis that turn the nozzle axis nearest to home's direction in the world, the other axes
-    as in `chosen`."""
+    """Angles (n) of the holder's last axis that turn the nozzle axis closest to its direction at home in the world, the
+    other axes as in `chosen`."""
     nh = len(cell.holder)
     direction = cell.arm.poses(cell.home[None, : len(cell.arm)])[0, :3, 2]
     before = Chain(

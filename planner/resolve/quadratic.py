@@ -14,15 +14,15 @@ from planner.base.compiled import inner_njit, njit
 # ----------------------------------------------------------------------------------------------------
 # Compiled kernels on banded symmetric matrices: products, Cholesky, and sums of rows' outer products.
 #
-# A matrix that is factorised is held by its upper band, U (n, w): U[i, d] is the entry (i, i + d). So what a row of the
-# factor does to the rows after it goes along memory.
+# A matrix to be factorised is stored as its upper band, U (n, w): U[i, d] is the entry (i, i + d). So a row of the
+# factor updates the rows after it along contiguous memory.
 
-# Sums may be taken in any order, and products join them without rounding: vectors of the processor ask for both. A loop
-# that sums up fills no array beside it: whether such a loop may use vectors depends on where arrays lie, and with that
-# its last digit.
+# Sums may be taken in any order, and products be fused into them without rounding: vector instructions need both. A
+# loop that accumulates a sum must not fill an array as well: whether such a loop can be vectorised depends on where
+# arrays are in memory, and so would its last digit.
 SUMS = {"reassoc", "contract"}
-_ROWS = 64  # that are multiplied at once: few enough for one thread
-_PANEL = 8  # rows of the factor that change the rows after them at once, as one product of matrices
+_ROWS = 64  # rows that are multiplied at once: few enough for one thread
+_PANEL = 8  # rows of the factor that update the rows after them at once, as one product of matrices
 
 
 @inner_njit(fastmath=SUMS)
@@ -52,7 +52,7 @@ def upper_band(H, U) -> None:
 def factorise(U) -> bool:
     """Banded Cholesky in place: U (n, w) holds the upper band of a symmetric matrix, then that of its upper factor.
 
-    What lies beyond the matrix's last column must be zero. False where the matrix is not positive definite.
+    Entries beyond the matrix's last column must be zero. False if the matrix is not positive definite.
     """
     n, w = U.shape
     panel = np.zeros((_PANEL, w + _PANEL))  # finished rows, each from the first one's diagonal on
@@ -117,11 +117,11 @@ def chunks_of(at, group):
 
 @inner_njit(fastmath=SUMS)
 def add_rows(A, at, group, chunks, D, own, S, U) -> None:
-    """Add all groups' rows to the Newton matrix U (n, w), their slacks eliminated; D (rows) are the rows' weights, own
-    (groups) that of the slack, S (groups) the sum of both.
+    """Add all groups' rows to the Newton matrix U (n, w), with their slacks eliminated.
 
-    A group adds the outer products of its rows, less one for its slack: of its rows with what each is more than a part
-    of their mean. Those of a chunk are one product of two matrices, which goes into the band once.
+    D (rows) are the rows' weights, own (groups) that of the slack, S (groups) the sum of both. A group adds the outer
+    products of its rows, less one for its slack: that is, of its rows with D times their differences from a mean.
+    Those of a chunk are one product of two matrices, which is added to the band once.
     """
     w = U.shape[1]
     most = 0
@@ -179,7 +179,7 @@ def add_times_rows(A, at, group, chunks, y, out) -> None:
         start, stop = group[chunks[chunk]], group[chunks[chunk + 1]]
         own[:] = 0.0
         r = start
-        while r + 4 <= stop:  # four at once: what they add up to is read and written once
+        while r + 4 <= stop:  # four at once, so that their sum is read and written once
             for c in range(w):
                 own[c] += y[r] * A[r, c] + y[r + 1] * A[r + 1, c] + y[r + 2] * A[r + 2, c] + y[r + 3] * A[r + 3, c]
             r += 4
@@ -198,17 +198,17 @@ def add_times_rows(A, at, group, chunks, y, out) -> None:
 #     minimise   1/2 x^T H x + g^T x + sum_k price_k slack_k
 #     subject to A_r x - b_r <= slack_k for every row r of group k,   slack_k >= 0,   |x_i| <= box_i
 #
-# A row touches `width` neighbouring variables from a place of its own, so the Newton matrix is banded: the slacks are
-# eliminated group by group (a rank-one term each), and the rest is one banded Cholesky factorisation a step. Cost is
-# linear in rows and variables. Predictor and corrector after Mehrotra (1992). It starts, and stays, feasible, and starts
-# with every group central.
+# A row touches `width` consecutive variables from an index of its own, so the Newton matrix is banded: the slacks are
+# eliminated group by group (a rank-one term each), and the rest is one banded Cholesky factorisation per step. Cost is
+# linear in rows and variables. Predictor and corrector after Mehrotra (1992). The method starts and stays feasible, and
+# starts with every group central.
 
 _STEPS = 60
-_FREE = 1e-9  # of what there is to gain: price of a slack that has none
-# Share of what there is to gain at all: steps are judged by the true price, and nearer costs more than it gains.
+_FREE = 1e-9  # price of a slack that has none, as a share of what there is to gain
+# Share of what there is to gain at all: steps are judged by the true price, so more accuracy costs more than it gains.
 ACCURACY = 1e-3
 _START = 5.0  # complementarity to begin with, as a share of what there is to gain
-_HALVINGS = 12  # of the interval in which a group's slack is sought
+_HALVINGS = 12  # bisections of the interval in which a group's slack is sought
 _TO_THE_WALL = 0.99  # share of the way to the nearest wall that a step may go
 
 
@@ -216,8 +216,8 @@ _TO_THE_WALL = 0.99  # share of the way to the nearest wall that a step may go
 class QuadraticProgram:
     """H (n, width) lower band: H[i, d] is the entry (i, i - d); g (n); box (n), positive.
 
-    A (r, width), b (r), at (r) first variable of each row; group k has the rows group[k] .. group[k + 1], which begin at
-    the same variable, and price[k], positive
+    A (r, width), b (r), at (r) first variable of each row; group k has the rows group[k] .. group[k + 1], which begin
+    at the same variable, and price[k], positive
     """
 
     H: Array
@@ -237,18 +237,18 @@ class QuadraticProgram:
 class Status(IntEnum):
     """How a program was left."""
 
-    SOLVED = 0  # as exactly as was asked for
-    STOPPED = 1  # before: steps ran out, or rounding did not let the matrix be factorised or a step be worked out
-    FAILED = 2  # with what is no number
+    SOLVED = 0  # to the required accuracy
+    STOPPED = 1  # earlier: out of steps, or unable to factorise the matrix or compute a step because of rounding
+    FAILED = 2  # with values that are not numbers
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What a solver makes of a program.
+    """A solver's result for a program.
 
     x (n) within the box, 0 where that is no worse; steps taken; status
-    gap, residual: what complementarity, and what is left of the Lagrangian's gradient, may gain within the box, in the
-    program's units: the least value is at most gap + 2 residual below that of x
+    gap, residual: what complementarity and the remaining gradient of the Lagrangian may still gain within the box, in
+    the program's units: the least value is at most gap + 2 residual below that of x
     """
 
     x: Array
@@ -304,7 +304,7 @@ class _Newton(NamedTuple):
 
 
 class _Iterate(NamedTuple):
-    """Where the method is, all of it positive: what rows (r), groups (k) and the box (n) have left, and their duals.
+    """The method's iterate, all of it positive: slacks of rows (r), groups (k) and the box (n), and their duals.
 
     s, lam (r); slack, mu (k); low, high (n) distances to the two walls of the box, lam_low, lam_high (n)
     """
@@ -330,8 +330,8 @@ class _NewtonStep(NamedTuple):
 
 
 class _Products(NamedTuple):
-    """What a direction's steps of two factors multiply to, which the corrector takes off: of rows (r), groups (k) and
-    the walls of the box (n)."""
+    """Products of a direction's steps of a slack and its dual, which the corrector subtracts: of rows (r), groups (k)
+    and the walls of the box (n)."""
 
     s: Array
     slack: Array
@@ -351,7 +351,7 @@ def _sum(values, first, end) -> float:
 def _direction(rows, newton, at, residual, price, target, second, step) -> None:
     """Fill a step with Newton's direction from an iterate `at` towards complementarity `target`.
 
-    residual (n) of the Lagrangian's gradient; price (k); second: products of the direction before, for the corrector
+    residual (n) of the Lagrangian's gradient; price (k); second: products of the previous direction, for the corrector
     """
     D, S = newton.D, newton.S
     s, lam, slack, mu = at.s, at.lam, at.slack, at.mu
@@ -387,8 +387,8 @@ def _direction(rows, newton, at, residual, price, target, second, step) -> None:
 
 @inner_njit(fastmath=SUMS)
 def _residual(H, g, box, rows, x, at, residual) -> float:
-    """Fill residual (n) with the gradient of the Lagrangian at x, whose duals the iterate `at` has; returns what it may
-    gain within the box."""
+    """Fill residual (n) with the gradient of the Lagrangian at x, with the duals of the iterate `at`; returns what it
+    may gain within the box."""
     lam_low, lam_high = at.lam_low, at.lam_high
     times_band(H, x, residual)
     for i in range(x.size):
@@ -399,8 +399,8 @@ def _residual(H, g, box, rows, x, at, residual) -> float:
 
 @inner_njit(fastmath=SUMS)
 def _centre(room, first, end, price, target, k, s, lam, slack, mu) -> None:
-    """Put the slack of group k, whose rows have `room`, and all duals where the products are `target` and the duals' sum
-    is the price: halving, since the sum falls as the slack grows."""
+    """Set the slack of group k, whose rows have `room`, and all duals so that the products are `target` and the duals
+    add up to the price: by bisection, since their sum falls as the slack grows."""
     most = 0.0
     for r in range(first, end):
         most = max(most, -room[r])
@@ -423,11 +423,11 @@ def _centre(room, first, end, price, target, k, s, lam, slack, mu) -> None:
 
 @njit(fastmath=SUMS)
 def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, int, float, float]:
-    """Compiled body of `solve_qp`: what a `Solution` has."""
+    """Compiled body of `solve_qp`; returns the fields of a `Solution`."""
     n, w = H.shape
     count, groups = b.size, price.size
     x = np.zeros(n)
-    # not the prices' sum: of what must not be exceeded the prices are huge, and most of it is far away
+    # not the sum of prices: those of hard bounds are huge, and most of these bounds are far away
     now = _value(H, g, A, b, at, group, price, x)
     scale = now + np.abs(g * box).sum()
     if scale == 0.0:
@@ -445,7 +445,7 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
     rows = _ProgramRows(A, at, group, chunks_of(at, group))
     residual = np.empty(n)
     dual = _residual(H, g, box, rows, x, here, residual)
-    exact = True  # whether the residual was summed up, and not taken to shrink as it does but for rounding
+    exact = True  # whether the residual was computed, not assumed to shrink as it does except for rounding
     H_upper, U = np.empty((n, w)), np.empty((n, w))
     upper_band(H, H_upper)
     D, own, S = np.empty(count), np.empty(groups), np.empty(groups)
@@ -499,7 +499,7 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
             _sum(dx, 0, n) + _sum(ds, 0, count) + _sum(dlam, 0, count) + _sum(dslack, 0, groups) + _sum(dmu, 0, groups)
         )
         if not np.isfinite(moved):
-            break  # nothing is left to gain that numbers can hold
+            break  # nothing is left to gain within floating-point precision
         length = _step_length(here, step, target, second)
         length = min(1.0, _TO_THE_WALL * length)
         for r in range(count):
@@ -526,7 +526,7 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
 
 @inner_njit(fastmath=SUMS)
 def _complementarity(at) -> float:
-    """Sum of an iterate's products."""
+    """Sum of an iterate's products of slacks and duals."""
     s, lam, slack, mu = at.s, at.lam, at.slack, at.mu
     low, high, lam_low, lam_high = at.low, at.high, at.lam_low, at.lam_high
     gap = 0.0
@@ -541,7 +541,7 @@ def _complementarity(at) -> float:
 
 @inner_njit(fastmath=SUMS)
 def _complementarity_after(at, step, length) -> float:
-    """Sum of an iterate's products after a share of a step towards complementarity 0."""
+    """The same sum after a share of a step towards complementarity 0."""
     s, lam, slack, mu = at.s, at.lam, at.slack, at.mu
     low, high, lam_low, lam_high = at.low, at.high, at.lam_low, at.lam_high
     dx, ds, dlam, dslack, dmu = step.x, step.s, step.lam, step.slack, step.mu

@@ -1,8 +1,8 @@
-"""How an arm reaches nozzle poses, compiled: arm, limits, rungs and grid as numbers, and what all postures there ask.
+"""How an arm reaches nozzle poses, compiled: arm, limits, rungs and grid as numbers, and steps that all postures share.
 
-Both the ladder's nodes (`nodes`) and the score of a placement (`planner.place.rating`) look at every posture of a grid: at
-each rung, angle of the swept joint and roll there is one nozzle pose, and the arm's postures for it. What is the same in
-both is here; what a posture is worth is theirs.
+Both the ladder's nodes (`nodes`) and the score of a placement (`planner.place.rating`) visit every posture of a grid:
+at each rung, angle of the swept joint and roll there is one nozzle pose, and the arm's postures for it. What both have
+in common is here; what a posture is worth is up to them.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from planner.cell.kinematics.inverse import SolverAddresses, kind_of, solver_of
 from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
 from planner.resolve.joint_path import SampledTasks
 
-CLEAR_ROOM = 3e-3  # m of clearance that a node must keep besides what is needed: what moves between rungs needs it
+CLEAR_ROOM = 3e-3  # m of clearance that a node must keep beyond what is required: motion between rungs needs it
 
 # ----------------------------------------------------------------------------------------------------
-# What kernels are given: the arm, its limits, the joint that is swept, the rungs, and room.
+# What kernels are given: the arm, its limits, the swept joint, the rungs, and scratch.
 
 
 class ArmNumbers(NamedTuple):
     """An arm of na joints.
 
     kind, solver, parameters             of its closed form: `kind_of`, `solver_of`, `InverseKinematics.parameters`
-    solved (6)                           joints (indices) that follow from a pose
-    T_base_world, T_nozzle_flange (4, 4) what stands at the two ends of the closed form, seen from there
+    solved (6)                           indices of the joints that follow from a pose
+    T_base_world, T_nozzle_flange (4, 4) fixed transforms at the two ends of the closed form
     placements (na, 4, 4), axes (na, 3), T_last_tip (4, 4)   as in Chain, from the world to the nozzle
     """
 
@@ -46,8 +46,8 @@ class ArmNumbers(NamedTuple):
 
 
 class ArmLimits(NamedTuple):
-    """Limits (na) of the arm's joints: ends of their ranges [rad], speed [rad/s], acceleration [rad/s^2]; metres of those
-    that do not turn. room: what nodes keep from those ends."""
+    """Limits (na) of the arm's joints: ends of their ranges [rad], speed [rad/s], acceleration [rad/s^2]; in metres for
+    joints that slide. room: distance that nodes keep from those ends."""
 
     q_min: Array
     q_max: Array
@@ -58,15 +58,16 @@ class ArmLimits(NamedTuple):
 
 
 class SweptJoint(NamedTuple):
-    """What the grid's second index turns at r rungs, and the angles [rad] of all that it does not turn.
+    """The joint that the grid's second index moves at r rungs, and the angles [rad] of those that it does not move.
 
-    T_before, T_after (r, 4, 4), axis (6)   world to part: T_before, what the swept joint does about or along its axis (as in
-                                            Chain), T_after
-    sweeps                                  0 nothing, 1 a holder joint, 2 and more the arm's joints that are given, the first one 2
-    joint                                   that joint among all, or -1; low, high: ends of its range [rad],
+    T_before, T_after (r, 4, 4), axis (6)   world to part: T_before, the swept joint's motion about or along its axis
+                                            (as in Chain), T_after
+    sweeps                                  0: nothing, 1: a holder joint, 2 and up: the arm's given joints, in order
+    joint                                   index of that joint among all, or -1; low, high: ends of its range [rad],
                                             from which nodes keep `room`
     slides, zero, unit                      whether it slides; its place is then zero + unit times the swept angle [m]
-    holder (r, nh), redundant (r, k)        angles of the holder's joints and of the arm's given ones (one, if there are none)
+    holder (r, nh), redundant (r, k)        angles of the holder's joints and of the arm's given ones (one, if there are
+                                            none)
     """
 
     T_before: Array
@@ -110,13 +111,13 @@ class RungNumbers(NamedTuple):
 
 
 class PoseRoom(NamedTuple):
-    """Room for one thread, filled anew at each pose.
+    """Scratch for one thread, refilled at each pose.
 
-    R (3, 3), T_held, T_rolled (4, 4)       on the way
+    R (3, 3), T_held, T_rolled (4, 4)       intermediate results
     T_part_task, T_world_part, T_world_task, T_base_nozzle, T_base_flange (4, 4)   a rung's task, and its poses
     z_axis (3)                              about which the nozzle rolls
-    postures (branches, na), ok (branches)  of all branches [rad], and which there are
-    origins, directions (na, 3), J (6, na)  of the chain; Jp, Ji (6, 6): columns that count, and their inverse; J6 (6, 6)
+    postures (branches, na), ok (branches)  of all branches [rad], and which exist
+    origins, directions (na, 3), J (6, na)  of the chain; Jp, Ji (6, 6): solved columns, and their inverse; J6 (6, 6)
     posture (1, na + nh)                    arm and holder
     """
 
@@ -157,8 +158,10 @@ def arm_limits(cell: Cell) -> ArmLimits:
 
 
 def grid_scale(limits: Limits, joint: int) -> tuple[float, float]:
-    """Zero and unit of a joint on a grid of angles, where its value is zero + unit times the angle: the range of a joint
-    that slides is spread over the circle, and others are their own angle."""
+    """Zero and unit of a joint on a grid of angles, where its value is zero + unit times the angle.
+
+    The range of a joint that slides is spread over the circle; other joints are their own angle.
+    """
     if joint not in limits.sliding:
         return 0.0, 1.0
     low, high = float(limits.q_min[joint]), float(limits.q_max[joint])
@@ -166,7 +169,7 @@ def grid_scale(limits: Limits, joint: int) -> tuple[float, float]:
 
 
 def looked_at(cell: Cell) -> tuple[Array, Array]:
-    """Between which places the chosen joints (k) are looked at: half a turn about home, the whole range where they slide."""
+    """Ends of what is tried of the chosen joints (k): half a turn to each side of home; all of it if they slide."""
     limits, chosen = cell.limits, list(cell.chosen)
     half = np.where(limits.turns[chosen], np.pi, limits.q_max[chosen] - limits.q_min[chosen])
     home = cell.home[chosen]
@@ -174,7 +177,7 @@ def looked_at(cell: Cell) -> tuple[Array, Array]:
 
 
 def swept_joint(cell: Cell, swept: int | None, held: Array) -> SweptJoint:
-    """What turns where the chosen joint of this index is swept, or none, and the chosen joints' angles are held (r, k)."""
+    """What moves if the chosen joint of this index is swept, or none, with chosen joints held at angles (r, k)."""
     limits, nh = cell.limits, len(cell.holder)
     swept = swept if cell.chosen else None
     sweeps = 0 if swept is None else (1 if swept < nh else 2 + swept - nh)
@@ -196,9 +199,9 @@ def rung_numbers(demand: SampledTasks) -> RungNumbers:
 
 
 def _holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, Array]:
-    """World to part as T_before, what the swept joint does about or along its axis (6), T_after, the others held (r, nh).
+    """World to part as T_before, the swept joint's motion on its axis (6), and T_after, the others held (r, nh).
 
-    Where no holder joint is swept, T_before is the whole way and the axis any.
+    If no holder joint is swept, T_before is the whole transform and the axis is arbitrary.
     """
     r = len(held)
     holder = cell.holder
@@ -215,7 +218,7 @@ def _holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, A
 
 @inner_njit
 def room_for_poses(na, nh, branches):
-    """A thread's room, for an arm of na joints and a number of branches, and a holder of nh joints."""
+    """Scratch for a thread, for an arm with na joints and a number of branches, and a holder with nh joints."""
     return PoseRoom(
         np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)),
         np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.array((0.0, 0.0, 1.0)),
@@ -227,14 +230,15 @@ def room_for_poses(na, nh, branches):
 
 @inner_njit
 def nearest_turn(angle: float, middle: float) -> float:
-    """The angle, in whole turns as near to the middle of a joint's range as can be."""
+    """The angle, with the whole turns added that bring it closest to the middle of a joint's range."""
     away = angle - middle
     return middle + away - 2.0 * np.pi * np.rint(away / (2.0 * np.pi))
 
 
 @inner_njit
 def nearest_turns(q, middle, q_min, q_max, turns) -> float:
-    """Turn all joints of q (na) that turn so; returns the least angle [rad, m] from the end of a range, negative beyond it."""
+    """Apply `nearest_turn` to all joints of q (na) that turn; returns the least distance [rad, m] from a range's end,
+    negative beyond it."""
     room = np.inf
     for j in range(q.size):
         if turns[j]:
@@ -245,8 +249,8 @@ def nearest_turns(q, middle, q_min, q_max, turns) -> float:
 
 @inner_njit
 def angle_in_range(swept, angle: float):
-    """An angle of the swept joint [rad], turned into its range, and whether it keeps room from the ends; the place [m]
-    of a joint that slides."""
+    """An angle of the swept joint [rad], turned into its range, and whether it keeps room from the ends; for a joint
+    that slides, its place [m]."""
     if swept.slides:
         place = swept.zero + swept.unit * angle
         return place, not min(place - swept.low, swept.high - place) < swept.room
@@ -272,8 +276,10 @@ def part_pose(swept, r: int, angle: float, room) -> None:
 
 @inner_njit
 def lean_nozzle(T_world_task, share: float, R, T_rolled) -> None:
-    """Turn a task's pose about its tip so that its z leans from straight down by a share of what it did, see `leaned`;
-    R (3, 3) and T_rolled (4, 4) are room."""
+    """Turn a task's pose about its tip so that its z leans from straight down by a share of what it did, see `leaned`.
+
+    R (3, 3) and T_rolled (4, 4) are scratch.
+    """
     x, y, z = T_world_task[0, 2], T_world_task[1, 2], T_world_task[2, 2]
     level = np.sqrt(x * x + y * y)
     if share == 1.0 or level < 1e-12:
@@ -314,8 +320,11 @@ def into_part(J, solved, T_world_part, Jp) -> None:
 
 @inner_njit
 def inverse_in_part(origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji) -> bool:
-    """Fill Ji (6, 6) with the rates of the joints `solved` for a twist in the part frame, at the tip of a chain of whose
-    joints origins and directions (na, 3) are known; False if it is singular to rounding. J (6, na), Jp (6, 6) are room."""
+    """Fill Ji (6, 6) with the rates of the joints `solved` for twists in the part frame; False if singular to rounding.
+
+    The twists are those of the tip of a chain whose joints have origins and directions (na, 3). J (6, na) and Jp (6, 6)
+    are scratch.
+    """
     jacobian_at(origins, directions, T_world_task[:3, 3], J)
     into_part(J, solved, T_world_part, Jp)
     return invert6(Jp, Ji)
@@ -323,10 +332,10 @@ def inverse_in_part(origins, directions, solved, T_world_part, T_world_task, J, 
 
 @inner_njit
 def lacks_clearance(table, bodies, posture, q, now: float, head, roll: int) -> bool:
-    """Whether a posture, its arm's joints now q (na), lacks clearance at a time of the print [beads].
+    """Whether a posture, with the arm's joints set to q (na), lacks clearance at a time of the print [beads].
 
-    head (rolls): whether the head lacks it from the part, which only roll decides; -1 where that is not known yet, which
-    is filled.
+    head (rolls): whether the head lacks clearance from the part, which depends on roll only; filled in where it is not
+    known yet, -1.
     """
     for j in range(q.size):
         posture[0, j] = q[j]

@@ -1,9 +1,9 @@
 """Refinement of a path's free variables: sequential quadratic programs over B-splines.
 
-The free variables z (roll, tilt, holder joints, given arm joints) are splines, so a few control values decide over
-many samples; the arm's joints follow from the task exactly. Around a path the rates of all joints are linear in the
-control values (derivatives of the inverse kinematics), the price is convex piecewise quadratic, and its minimum in a
-trust region is one banded quadratic program. Steps that do not lower the true price are not taken.
+The free variables z (roll, tilt, holder joints, given arm joints) are splines, so a few control values determine many
+samples; the arm's joints follow from the task exactly. Around a path, the rates of all joints are modelled as linear in
+the control values (derivatives of the inverse kinematics) and the price as convex piecewise quadratic, so minimising it
+in a trust region is one banded quadratic program. Steps that do not lower the true price are not taken.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ QPSolver = Callable[[QuadraticProgram], Solution]
 _TRUST = 0.15  # rad that a control value may move in the first step
 _MOST_TRUST, _LEAST_TRUST = 0.6, 2e-3
 _STEPS = 40
-_ROUNDS = 4  # of solving a program and watching what its solution has missed
+_ROUNDS = 4  # rounds of solving a program and adding rows for the bounds that its solution violates
 _ENOUGH = 5e-4  # share of the price: a step that promises less is not worth taking
-_NEGLIGIBLE = 1e-4  # seconds a second of printing, likewise
-_LOOSE = 0.3  # of its descent: what a program that was left early may lack at most, for its step to be tried
-_PEAK_SHARE = 0.8  # of the greatest speed at the start: far below it nothing else would count any more
-_LEAP = 0.3  # rad that a joint may turn from sample to sample: what turns further leaves the path between them
-CONE_ROOM = 1e-3  # rad kept from the cones: between waypoints normals are known no better
-_MOST_ROOM = 0.1  # of a cone, likewise
+_NEGLIGIBLE = 1e-4  # seconds per second of printing, likewise
+_LOOSE = 0.3  # share of its descent that a program stopped early may be off by, for its step to be tried
+_PEAK_SHARE = 0.8  # share of the greatest speed at the start: with a much lower peak, nothing else would count
+_LEAP = 0.3  # rad that a joint may turn from sample to sample: with more, the nozzle leaves the path in between
+CONE_ROOM = 1e-3  # rad kept from the cones: between waypoints, normals are known no better
+_MOST_ROOM = 0.1  # share of a cone that is kept from it, at most
 
 
 def bounded_cones(cones: Cones) -> tuple[Ints, Array]:
@@ -54,7 +54,7 @@ def bounded_cones(cones: Cones) -> tuple[Ints, Array]:
 
 
 def evaluate(model: Model, stretch: PathSegment, c: Array, q_near: Array, least_sigma: float) -> PathState | None:
-    """The path that control values c (k, m) make, starting Newton's method from q_near; None if there is none."""
+    """The path with control values c (k, m), by Newton's method from q_near; None if there is none."""
     active = model.active(stretch.cones)
     z = np.zeros((len(stretch.tip), model.columns))
     z[:, active] = spline_values(stretch.first, stretch.B, c)
@@ -79,7 +79,7 @@ def evaluate_samples(
     bounded, half = bounded_cones(stretch.cones)
     cones = half - np.minimum(CONE_ROOM, _MOST_ROOM * half)
     lean, lean_slope = np.ascontiguousarray(lean[:, bounded]), np.ascontiguousarray(lean_slope[:, bounded])
-    # upright, what is round about the nozzle's axis keeps the clearance from the part that it has
+    # with an upright nozzle, bodies that are round about its axis cannot change their clearance from the part
     obstacles = model.obstacles if stretch.cones.tilt > 0.0 else model.obstacles.but_round_on_part
     first = int(np.argmax(stretch.step > 0.0))
     near = clearances(obstacles, q, G, stretch.now, stretch.tip, first, held=c.shape[1] > 0)
@@ -91,12 +91,12 @@ def evaluate_samples(
 
 
 def _priced(model: Model, stretch: PathSegment, state: PathState) -> PathState:
-    """A state with the sum of what the terms cost."""
+    """A state with its price, the sum of all terms."""
     return replace(state, price=float(sum(term.price(model, stretch, state) for term in model.terms)))
 
 
 def calmed(model: Model, stretch: PathSegment, state: PathState) -> tuple[PathSegment, PathState]:
-    """Both with a price on peaks of the joints' speed, if no time is lost there: lost time is dearer."""
+    """Stretch and state with a price on peaks of the joints' speed, unless time is lost there, which costs more."""
     counted = stretch.step > 0.0
     if state.slack[counted & (stretch.deposits > 0.0)].any():
         return stretch, state
@@ -106,7 +106,7 @@ def calmed(model: Model, stretch: PathSegment, state: PathState) -> tuple[PathSe
 
 
 def watched(model: Model, stretch: PathSegment, state: PathState, trust: float) -> Watch:
-    """What a program watches from the start, whose steps are at most `trust` [rad]."""
+    """What a program with steps of at most `trust` [rad] watches from the start."""
     watch = Watch(
         rates=np.zeros((*state.rates.shape, 2), dtype=np.bool_),
         facets=np.zeros((*state.lean.shape[:2], FACETS.size), dtype=np.bool_),
@@ -118,7 +118,7 @@ def watched(model: Model, stretch: PathSegment, state: PathState, trust: float) 
 
 
 def expand(model: Model, stretch: PathSegment, state: PathState) -> Expansion:
-    """The price around a state, see `Expansion`. What is held has a one on the diagonal."""
+    """The price around a state, see `Expansion`. Control values that are held have a one on the diagonal."""
     (n, nj, m), k, width = state.G.shape, len(state.c), stretch.B.shape[2]
     around = Expansion(np.zeros((k * m, width * m)), np.zeros(k * m), np.empty((n, 3 * nj, width * m)))
     rate_slopes(model.limits, state.G, stretch.centre, stretch.D, stretch.first, stretch.B, stretch.free, around.slopes)
@@ -131,9 +131,9 @@ def expand(model: Model, stretch: PathSegment, state: PathState) -> Expansion:
 def program_around(
     model: Model, stretch: PathSegment, state: PathState, around: Expansion, trust: float, watch: Watch
 ) -> QuadraticProgram:
-    """The quadratic program whose solution moves the control values of a state, at most by `trust` [rad].
+    """The quadratic program whose solution moves the control values of a state by at most `trust` [rad].
 
-    Only what is watched has rows in it, in the order of samples.
+    Only what is watched has rows, in the order of samples.
     """
     w = around.H.shape[1]
     counts = [(term, own) for term in model.terms if (own := term.count(stretch, state, watch)) is not None]
@@ -156,7 +156,7 @@ def program_around(
 
 
 def _further_rows(model: Model, stretch: PathSegment, state: PathState, width: int, trust: float) -> Rows:
-    """The terms' rows that have slacks of their own."""
+    """The terms' rows with slacks of their own."""
     none = np.zeros((0, width)), np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0)
     parts = [none, *(rows for term in model.terms if (rows := term.further(model, stretch, state, trust)) is not None)]
     A, b, at, price = (np.concatenate(each) for each in zip(*parts, strict=True))
@@ -176,7 +176,7 @@ def _best_step(
     """The step that lowers the model's price most, and by how much the price falls [s]; None where a program's
     solution cannot be trusted.
 
-    A sample has some forty bounds, few of which matter: those that a solution goes beyond are added to `watch`.
+    A sample has some forty bounds, few of which matter: those that a solution violates are added to `watch`.
     """
     for _ in range(_ROUNDS):
         program = program_around(model, stretch, state, around, trust, watch)
@@ -192,7 +192,7 @@ def _best_step(
 
 
 def _trusted(program: QuadraticProgram, solution: Solution) -> bool:
-    """Whether a program was solved, or left so near to it that its step is nearly the best one."""
+    """Whether a program was solved, or stopped so close to its solution that its step is nearly the best one."""
     if solution.status is not Status.STOPPED:
         return solution.status is Status.SOLVED
     descent = program.value(np.zeros(len(solution.x))) - program.value(solution.x)
@@ -200,7 +200,7 @@ def _trusted(program: QuadraticProgram, solution: Solution) -> bool:
 
 
 def refine_stretch(model: Model, stretch: PathSegment, state: PathState, solver: QPSolver = solve_qp) -> PathState:
-    """Lower the price of a state step by step; what comes back never costs more than what was given."""
+    """Lower the price of a state step by step; the result never costs more than the given state."""
     trust = _TRUST
     enough = _NEGLIGIBLE * float(stretch.step.sum())
     for _ in range(_STEPS):
@@ -219,7 +219,7 @@ def refine_stretch(model: Model, stretch: PathSegment, state: PathState, solver:
                     if gained > 0.7 * promised:
                         trust = min(2.0 * trust, _MOST_TRUST)
                     break
-            # neither a step that disappoints nor a program that is far from solved says that there is nothing to gain
+            # neither a disappointing step nor a program far from solved means that there is nothing to gain
             trust *= 0.3
             if trust < _LEAST_TRUST:
                 return state

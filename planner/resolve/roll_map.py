@@ -1,4 +1,4 @@
-"""The roll × path map: what the nozzle's free turn about its axis allows along a print, and why not more."""
+"""The roll × path map: which rolls of the nozzle are possible along a print, and what rules out the others."""
 
 from __future__ import annotations
 
@@ -19,34 +19,36 @@ from planner.resolve.joint_path import JointPath, flange_poses
 from planner.toolpath.task import NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
-# The roll × path map: what the nozzle's free turn about its axis allows along a print, and why not more.
+# The roll × path map: which rolls of the nozzle are possible along a print, and what rules out the others.
 #
-# With tilt and all chosen joints (a positioner's axes) as planned, one number is left free at each place of the path: the
-# roll. At each place and each roll the map holds whether the arm can stand so, how far from trouble it then is, and the
-# roll that was chosen. A path is a curve through what is free.
+# With tilt and all chosen joints (a positioner's axes) as planned, one number is left free at each place of the path:
+# the roll. At each place and roll, the map holds whether the arm can take that posture and how far from trouble it then
+# is, and at each place the roll that was chosen. A path is a curve through the free region.
 
 FREE, REACH, LIMITS, SINGULAR, COLLISION = range(5)
 REASONS = ("free", "out of reach", "joint limits", "singularity", "collision")  # by those numbers
 COLUMNS, ROLLS = 450, 120  # of a map: as many as a picture shows, rolls 3 degrees apart
-EVERY_COLUMN, EVERY_ROLL = 3, 2  # clearance is asked for so often, and drawn straight between: it takes longest
-CLEAR_ENOUGH = 0.02  # m: greater clearances are not told apart
-CLEAR_CLOSE = 1e-4  # m: where less is drawn, it is found
+EVERY_COLUMN, EVERY_ROLL = 3, 2  # steps at which clearance is computed, then interpolated: it takes longest
+CLEAR_ENOUGH = 0.02  # m: greater clearances are not distinguished
+CLEAR_CLOSE = 1e-4  # m: an interpolated clearance that small is computed instead
 
 
 @dataclass(frozen=True)
 class RollMap(ReadOnlyArrays):
     """Places (m) along beads, and k rolls at each.
 
-    bead (m), s (m)    which bead, and arc length along it [m]
-    along (m)          length deposited up to there [m]
-    roll (k)           rolls from -pi on, evenly round the circle [rad], 0 as in the tasks' frames
-    chosen (m)         the path's own roll in [-pi, pi); NaN where there is no path yet
-    why (m, k)         FREE, or the first reason why not: REACH, LIMITS, SINGULAR, COLLISION; see REASONS
-    sigma (m, k)       least singular value of the arm's Jacobian (linear rows in metres); NaN out of reach or limits
-    limit (m, k)       least angle from the limit of a joint that turns [rad], negative beyond; NaN out of reach
-    clearance (m, k)   what is left beyond the clearance that is needed [m], up to CLEAR_ENOUGH; it includes the nozzle's
-                       from the print near its tip, so it is small even where all is well. NaN where another reason
-                       comes first, or nothing can touch
+    Attributes:
+        bead: Index (m,) of the bead.
+        s: Arc length (m,) along it [m].
+        along: Length (m,) deposited up to there [m].
+        roll: Rolls (k,) from -pi on, evenly round the circle [rad], 0 as in the tasks' frames.
+        chosen: The path's own roll (m,) in [-pi, pi) [rad]; NaN where there is no path yet.
+        why: FREE (m, k), or the first reason why not: REACH, LIMITS, SINGULAR, COLLISION; see REASONS.
+        sigma: Least singular value (m, k) of the arm's Jacobian (linear rows in metres); NaN out of reach or limits.
+        limit: Least angle (m, k) from the limit of a joint that turns [rad], negative beyond; NaN out of reach.
+        clearance: Clearance (m, k) in excess of what is needed [m], up to CLEAR_ENOUGH; it includes the nozzle's from
+            the print near its tip, so it is small even where all is well. NaN where another reason comes first, or
+            nothing can touch.
     """
 
     bead: NDArray[np.int32]
@@ -66,7 +68,7 @@ class RollMap(ReadOnlyArrays):
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """Where (m, k) the arm can stand."""
+        """Where (m, k) the arm can take the posture."""
         return self.why == FREE
 
 
@@ -79,10 +81,23 @@ def roll_map(
     rolls: int = ROLLS,
     any_branch: bool = False,
 ) -> RollMap:
-    """The map along joint paths, at the tilt and the chosen joints that these have; at most so many columns.
+    """The map along joint paths, at their tilt and chosen joints.
 
-    On each path's own branch of the arm, which cannot change along a bead; with `any_branch`, or of a path that has
-    none, on whichever branch does best at each place. Postures with a sigma below `min_sigma` count as singular.
+    It is judged on each path's own branch of the arm, which cannot change along a bead, or on any branch, see
+    `any_branch`.
+
+    Args:
+        cell: The cell that the paths are for.
+        paths: The joint paths.
+        obstacles: What postures are to be clear of; by default, nothing.
+        min_sigma: Postures with a sigma below it count as singular.
+        columns: Greatest number of places along the paths.
+        rolls: Number of rolls at each place.
+        any_branch: Whether each place is judged on whichever branch does best there, as it also is if a path has no
+            branch.
+
+    Returns:
+        The map, place by place and roll by roll.
     """
     places = _places(paths, columns)
     m = len(places.s)
@@ -101,7 +116,7 @@ def roll_map(
 
 @dataclass(frozen=True)
 class _Places:
-    """What is fixed at each place (m): the fields of `RollMap`, task and path there; now: when it is, in beads."""
+    """What is fixed at each place (m): the fields of `RollMap`, task and path there; now: when, in beads."""
 
     bead: NDArray[np.int32]
     s: Array
@@ -116,7 +131,7 @@ class _Places:
 
 
 def _places(paths: Sequence[JointPath], columns: int) -> _Places:
-    """Samples evenly along what is deposited of all paths."""
+    """Evenly spaced samples along the deposits of all paths."""
     laid = [slice(path.task.first, path.task.last + 1) for path in paths]
     s = [path.task.s[rows] - path.task.s[path.task.first] for path, rows in zip(paths, laid, strict=True)]
     before = np.cumsum([0.0, *(each[-1] for each in s)])
@@ -140,7 +155,7 @@ def _places(paths: Sequence[JointPath], columns: int) -> _Places:
 
 
 def _postures(cell: Cell, places: _Places, roll: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Arm joints (m, k, branches, na), whichever of their turns, and which exist."""
+    """Arm joints (m, k, branches, na), up to whole turns, and which postures exist."""
     m, k, na, nh = len(places.s), len(roll), len(cell.arm), len(cell.holder)
     each = np.repeat(np.arange(m), k)
     task = NozzleTask(0, "", 0, places.tip[each], places.frames[each], each.astype(float), 0, len(each) - 1, 1.0)
@@ -156,7 +171,7 @@ _JUDGED = ("why", "sigma", "limit", "clearance")
 def _judged(
     cell: Cell, places: _Places, arm: Array, exists: NDArray[np.bool_], obstacles: Obstacles, min_sigma: float
 ) -> _Judgement:
-    """why, sigma, limit and clearance of arm postures (m, k, na), turned as near the middle of their ranges as can be."""
+    """why, sigma, limit and clearance of arm postures (m, k, na), turned closest to the middle of their ranges."""
     na = len(cell.arm)
     low, high, turns = cell.limits.q_min[:na], cell.limits.q_max[:na], cell.limits.turns[:na]
     arm = arm - np.where(turns, TURN * np.round((arm - 0.5 * (low + high)) / TURN), 0.0)
@@ -177,8 +192,8 @@ def _judged(
 
 
 def _sigmas(cell: Cell, q: Array) -> tuple[Array, Array]:
-    """Least singular values (n) of the arm's Jacobian at postures q (n, na), as `sigma_min` has them, and those of the six
-    joints that are solved for, by which a search judges arms of seven."""
+    """Least singular values (n) of the arm's Jacobian at postures q (n, na), as in `sigma_min`, and those for the six
+    joints that are solved for, by which a search judges seven-axis arms."""
     columns = tuple(dict.fromkeys((tuple(range(cell.rails, len(cell.arm))), tuple(cell.solved))))
     out = np.empty((len(columns), len(q)))
 
@@ -198,10 +213,10 @@ def _holder(cell: Cell, places: _Places, arm: Array) -> Array:
 
 
 def _clearances(places: _Places, q: Array, asked: NDArray[np.bool_], obstacles: Obstacles) -> Array:
-    """Clearance (m, k) of postures q (m, k, nj) where it is asked for, NaN elsewhere.
+    """Clearance (m, k) of postures q (m, k, nj) where it is `asked` for, NaN elsewhere.
 
-    Found on every few places and rolls and drawn straight between; found itself where that comes near to a touch, and
-    where there is nothing to draw between.
+    Computed at every few places and rolls and interpolated linearly between them; computed directly where that comes
+    close to contact, and where there is nothing to interpolate.
     """
     m, k = asked.shape
     known = np.full((m, k), np.nan)
@@ -243,8 +258,8 @@ def _find(places: _Places, q: Array, which: NDArray[np.bool_], obstacles: Obstac
 
 
 def _better(one: _Judgement, other: _Judgement) -> _Judgement:
-    """Of two branches at each place and roll the one that gets further, and of equals the less singular one."""
-    further = np.array([4, 0, 1, 2, 3])  # what is free is furthest, what collides gets further than what cannot stand
+    """The better of two branches at each place and roll, by the reason; on a tie, the less singular one."""
+    further = np.array([4, 0, 1, 2, 3])  # ranks of the reasons, best first: free, collision, singularity, limits, reach
     a, b = further[one[0]], further[other[0]]
     second = (b > a) | ((b == a) & (np.nan_to_num(other[1]) > np.nan_to_num(one[1])))
     why = np.where(second, other[0], one[0])
@@ -256,14 +271,14 @@ def _better(one: _Judgement, other: _Judgement) -> _Judgement:
 # The roll × path maps that a plan carries: of the whole print, and of the beads where it is tightest.
 
 BEAD_COLUMNS = 150  # of the map of a bead
-FINEST = 1e-3  # m: what a column stands for, at least
-_FEW = 50  # places of a path that are looked at to compare it with others
+FINEST = 1e-3  # m that a column stands for, at least
+_FEW = 50  # places of a path at which it is compared with others
 
 
 def roll_maps(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacles, min_sigma: float) -> tuple[RollMap, ...]:
     """The map of all paths; then those of the beads that come nearest to a singularity and to an end stop.
 
-    Of the whole alone, if it has few beads, and so shows them well.
+    Only the first if there are few beads, since it then shows them well.
     """
     parts: list[RollMap] = []
     around: dict[int, tuple[Cell, Obstacles]] = {}
@@ -302,8 +317,8 @@ def _columns(paths: Sequence[JointPath], most: int) -> int:
 
 
 def _tightest(cells: Sequence[Cell], paths: Sequence[JointPath]) -> tuple[int, ...]:
-    """Indices of the paths, each in its cell, that come nearest to a singularity and to the end of the range of an arm joint
-    that turns, in this order."""
+    """Indices of the paths, each in its cell, that come nearest to a singularity and to the end of the range of an arm
+    joint that turns, in this order."""
     na = len(cells[0].arm)
     turns = cells[0].limits.turns[:na]
     sigma, limit = [], []

@@ -21,13 +21,13 @@ from planner.resolve.reach import nearest_turn
 # ----------------------------------------------------------------------------------------------------
 # Compiled body of the search through the ladder graph.
 
-SPEED_SHARE = 0.9  # of a joint's speed that an edge may use at the commanded speed: between rungs the rest is needed
-JUMP = 2.5  # rad that a joint may turn from rung to rung: beyond, it is another posture, or another turn
-_ORDER = (4, 0, 1, 2, 3, 5, 6, 7, 8)  # of the nine neighbours, that of the same roll and holder first
+SPEED_SHARE = 0.9  # share of a joint's speed that an edge may use: motion between rungs needs the rest
+JUMP = 2.5  # rad that a joint may turn from rung to rung: more is another posture, or another whole turn
+_ORDER = (4, 0, 1, 2, 3, 5, 6, 7, 8)  # of the nine neighbours, the one with the same roll and holder first
 
 
 class LadderNumbers(NamedTuple):
-    """The ladder graph: R rungs, each a window of A rolls, B holder angles and C branches, and the tasks that they are of.
+    """The ladder graph: R rungs, each a window of A rolls, B holder angles and C branches, and their tasks.
 
     q (R, A, B, C, na) [rad], price (R, A, B, C) [s]      of the nodes, as in `Nodes`
     roll_from, holder_from (R), periodic, holder_step     of their grid, as in `Grid`
@@ -48,7 +48,7 @@ class TurnsCounted(NamedTuple):
     """Joints (m) whose whole turns are part of a node, so that a route keeps to their ranges along a bead.
 
     joint (m)            index among the arm's, or their number for the swept one
-    least (m), number (m) the fewest whole turns that a node's angle may be taken with, and how many there are
+    least (m), number (m) the fewest whole turns that may be added to a node's angle, and how many choices there are
     low, high (m)        ends of the ranges, in the nodes' angles [rad]
     """
 
@@ -60,10 +60,13 @@ class TurnsCounted(NamedTuple):
 
 
 class TravelLimits(NamedTuple):
-    """Speed v [rad/s] and acceleration a [rad/s^2] (na + 1) of the arm's joints and then the swept one; wraps (na): which
-    arm joints can turn so far that their angles count round the circle. From rung to rung what turns further than `far` [rad]
-    has another price, and what turns further than `jump` has come to another posture, or another turn.
-    round: whether the swept joint can go round the circle; else middle [rad] is that of its range, in the grid's angles."""
+    """Speed v [rad/s] and acceleration a [rad/s^2] (na + 1) of the arm's joints, then of the swept one.
+
+    wraps (na)      which arm joints can turn so far that their angles are compared modulo a whole turn
+    far, jump       turns from rung to rung [rad] beyond which an edge costs extra, and beyond which there is none
+    round, middle   whether the swept joint can go all the way round; if not, the middle of its range [rad], in the
+                    grid's angles
+    """
 
     v: Array
     a: Array
@@ -78,7 +81,7 @@ class TravelLimits(NamedTuple):
 def travel_price(
     qa: NDArray[np.float32], qb: NDArray[np.float32], turn: float, v: Array, a: Array, wraps: NDArray[np.bool_]
 ) -> float:
-    """Price [s] of travel between postures (na) and over `turn` of the holder: rest to rest, the slowest joint counts."""
+    """Price [s] of travel between postures (na) and over `turn` of the holder: the slowest joint's, rest to rest."""
     worst = 0.0
     na = wraps.size
     for j in range(na + 1):
@@ -96,8 +99,8 @@ def travel_price(
 def edge_price(q0, q1, q1_straight, turn: float, time: float, limits) -> float:
     """Price [s] of the edge from q0 to q1 (na) in `time`, where keeping roll and holder would lead to q1_straight.
 
-    A mild square of the speeds that turning asks for; where a joint is too slow, the time really lost; and more where one
-    turns very far. Infinite if a joint jumps, so that nothing continuous leads there.
+    A mild quadratic price for the speeds that a change of roll or holder requires; where a joint is too slow, the time
+    actually lost; and more where one turns very far. Infinite if a joint jumps, since no continuous motion leads there.
     """
     v, wraps = limits.v, limits.wraps
     need = abs(turn) / (SPEED_SHARE * v[wraps.size])  # s
@@ -120,7 +123,7 @@ def edge_price(q0, q1, q1_straight, turn: float, time: float, limits) -> float:
 
 @inner_njit
 def _shift(index: int, window: int, periodic: bool) -> int:
-    """Index in a window, round the circle if it is one; -1 outside."""
+    """Index in a window, modulo its width if it is periodic; -1 outside."""
     if periodic:
         return index % window
     return index if 0 <= index < window else -1
@@ -128,7 +131,7 @@ def _shift(index: int, window: int, periodic: bool) -> int:
 
 @inner_njit
 def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float, limits) -> float:
-    """Holder's turn from node b0 at rung r0 to node b1 at rung r1, the short way round if it can go round."""
+    """The holder's turn from node b0 at rung r0 to node b1 at rung r1, the short way if it can go all the way round."""
     i1, i0 = holder_from[r1] + b1, holder_from[r0] + b0
     if limits.round:
         turn = (i1 - i0) * holder_step
@@ -138,10 +141,10 @@ def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float, l
 
 @inner_njit
 def _from_travel(ladder, r: int, arrived, limits, cost, back) -> None:
-    """Start a bead at rung r: each node's cheapest predecessor among all ends (at rung r - 1) of the bead before.
+    """Start a bead at rung r: each node's cheapest predecessor among all ends (at rung r - 1) of the previous bead.
 
     The price of travel is a metric, so an end that is reached more cheaply through another end can be left out: few
-    remain. They are tried in the order of their cost, until an end alone costs more than the best way found.
+    remain. They are tried in order of cost, until an end by itself costs more than the best way found.
     """
     q, price, holder_from, holder_step = ladder.q, ladder.price, ladder.holder_from, ladder.holder_step
     v, a, wraps = limits.v, limits.a, limits.wraps
@@ -186,8 +189,8 @@ def _from_travel(ladder, r: int, arrived, limits, cost, back) -> None:
 
 @inner_njit
 def _neighbours(window: int, shift: int, periodic: bool):
-    """Indices (window, 3) in the window before, which stands `shift` further back, and in this one, of what is one step
-    less, the same, and one step more; -1 outside."""
+    """Indices (window, 3) of one step less, the same and one step more, in the previous window, which begins `shift`
+    steps earlier, and in this one; -1 outside."""
     before, here = np.empty((window, 3), dtype=np.int64), np.empty((window, 3), dtype=np.int64)
     for i in range(window):
         for m in range(3):
@@ -197,7 +200,7 @@ def _neighbours(window: int, shift: int, periodic: bool):
 
 @inner_njit
 def _held(turns, label: int, q, angle: float) -> bool:
-    """Whether the joints whose turns are counted are within their ranges, at a node's joints q and angle of the swept one."""
+    """Whether joints whose turns are counted are in their ranges, at a node's joints q and angle of the swept one."""
     for k in range(turns.joint.size):
         j = turns.joint[k]
         own = (angle if j == q.size else float(q[j])) + 2.0 * np.pi * (turns.least[k] + label % turns.number[k])
@@ -209,7 +212,7 @@ def _held(turns, label: int, q, angle: float) -> bool:
 
 @inner_njit
 def _label_before(turns, label: int, q0, q1, angle0: float, angle1: float) -> int:
-    """Label at the node before of whoever comes with a label, no joint jumping; -1 where there is none."""
+    """The label at the previous node from which a label here follows, no joint jumping; -1 if there is none."""
     out, unit = 0, 1
     for k in range(turns.joint.size):
         j = turns.joint[k]
@@ -225,16 +228,15 @@ def _label_before(turns, label: int, q0, q1, angle0: float, angle1: float) -> in
 
 @inner_njit
 def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
-    """Each node's cheapest predecessor among its nine neighbours at rung r - 1; of equal ones the first in their order.
+    """Each node's cheapest predecessor among its nine neighbours at rung r - 1; on a tie, the first in their order.
 
-    Who keeps to roll and holder pays no edge, so it is asked first: what costs more without its edge is left out.
+    Keeping roll and holder makes the cheapest edge, so that neighbour comes first: those that cost more even without
+    their edge are skipped.
     """
     q, price, holder_step, time = ladder.q, ladder.price, ladder.holder_step, ladder.time[r]
     A, B, C, L = cost.shape
     counting = turns.number.size > 0
-    need = holder_step / (
-        SPEED_SHARE * limits.v[limits.wraps.size]
-    )  # s of the swept joint for a step, which any edge costs
+    need = holder_step / (SPEED_SHARE * limits.v[limits.wraps.size])  # s that a step of the swept joint costs any edge
     step_price = TURN_PRICE * time * min(need / time, 1.0) ** 2 + (1.0 + DIP_PRICE) * max(0.0, need - time)
     from_a, straight_a = _neighbours(A, ladder.roll_from[r] - ladder.roll_from[r - 1], ladder.periodic)
     from_b, straight_b = _neighbours(B, ladder.holder_from[r] - ladder.holder_from[r - 1], ladder.periodic)
@@ -279,7 +281,7 @@ def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
 
 @inner_njit
 def _start(ladder, r: int, turns, first, first_back, cost, back) -> None:
-    """Begin a bead at rung r with what its nodes cost, first (A, B, C), whatever turns they are taken with."""
+    """Begin a bead at rung r with its nodes' costs, first (A, B, C), at any whole turns."""
     A, B, C, L = cost.shape
     for i in range(A):
         for b in range(B):
@@ -293,7 +295,7 @@ def _start(ladder, r: int, turns, first, first_back, cost, back) -> None:
 
 @inner_njit
 def _any_turns(cost):
-    """Least costs (A, B, C) of nodes with whatever turns, and the labels of these."""
+    """Least costs (A, B, C) of nodes over their labels, and which labels have them."""
     A, B, C, L = cost.shape
     least, which = np.full(A * B * C, np.inf).reshape((A, B, C)), np.full(A * B * C, 0).reshape((A, B, C))
     for i in range(A):
@@ -305,12 +307,12 @@ def _any_turns(cost):
     return least, which
 
 
-# numba compiles sums of whole arrays of four axes, their least numbers and their making in seconds each: loops do that.
+# Sums, minima and creation of arrays with four axes each take numba seconds to compile, so loops do that.
 
 
 @inner_njit
 def _add(more, cost) -> None:
-    """Add to costs (A, B, C, labels) as many others."""
+    """Add other costs to costs (A, B, C, labels)."""
     A, B, C, L = cost.shape
     for i in range(A):
         for b in range(B):
@@ -321,7 +323,7 @@ def _add(more, cost) -> None:
 
 @inner_njit
 def _least(cost):
-    """The first index of the least of costs, all axes in one, and that cost."""
+    """Flat index of the first least cost, and that cost."""
     flat = cost.ravel()
     least = 0
     for k in range(flat.size):
@@ -332,8 +334,10 @@ def _least(cost):
 
 @inner_njit
 def _leave(ladder, r: int, limits, turns, cost, back) -> None:
-    """Let the nozzle leave the bead at rung r where it has come to most cheaply, and come back in any posture, with any
-    turns; who does so is marked by what lies below -1 in `back`."""
+    """Let the nozzle leave the bead at rung r from the cheapest node, and come back in any posture, with any turns.
+
+    Nodes reached that way have values below -1 in `back`.
+    """
     q, price, holder_from = ladder.q, ladder.price, ladder.holder_from
     A, B, C, L = cost.shape
     k, least = _least(cost)
@@ -355,7 +359,7 @@ def _leave(ladder, r: int, limits, turns, cost, back) -> None:
 
 @inner_njit
 def _trace(back, k: int, came, left) -> None:
-    """Fill the nodes and labels (R, 4) that a way comes to, and goes on from, rung by rung, from its last one."""
+    """Fill the nodes and labels (R, 4) at which a route arrives and from which it goes on, back from its last one k."""
     R, A, B, C, L = back.shape
     flat = back.reshape((R, A * B * C * L))
     for r in range(R - 1, -1, -1):
@@ -368,16 +372,18 @@ def _trace(back, k: int, came, left) -> None:
 
 @njit
 def search_best(ladder, limits, turns, may, out, back_home):
-    """Cheapest route: window indices, branch column and label (R, 4) to which it comes at each rung, and those from which it
-    goes on, its price, and -1; or where it got stuck.
+    """The cheapest route over all beads.
+
+    Returns the window indices, branch column and label (R, 4) at which it arrives at each rung, those from which it
+    goes on, its price, and -1 or the rung where it got stuck.
 
     ladder: LadderNumbers, limits: TravelLimits, turns: TurnsCounted
-    may (R): rungs inside a bead at which the nozzle may leave it, at a price above all others; there alone it may go on
-    otherwise than it arrived
+    may (R): rungs inside a bead at which the nozzle may leave it, at a price above all others; only there may it go on
+    from another node than the one it arrived at
     out, back_home (A, B, C, labels): prices of the ways to the first rung's nodes and from the last one's.
 
-    Nodes carry a label where turns are counted: how many each of these joints has made. It follows from that of the node
-    before; between beads turns are free.
+    Where turns are counted, nodes carry a label: how many each of these joints has made. It follows from that of the
+    previous node; between beads turns are free.
     """
     price, task_rungs = ladder.price, ladder.task_rungs
     R, A, B, C = price.shape
@@ -419,9 +425,11 @@ def search_best(ladder, limits, turns, may, out, back_home):
 
 @njit
 def search_greedy(ladder, limits, low, high):
-    """Greedy route, bead by bead: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
+    """Greedy route, bead by bead.
 
-    low, high (na): the arm joints' ranges [rad]; a bead that winds one further is a dead end
+    Returns picked (R, 3) window indices and branch column, its price, and -1 or the rung where it got stuck.
+
+    low, high (na): the arm joints' ranges [rad]; winding a joint further along a bead is a dead end
     """
     q, price, task_rungs = ladder.q, ladder.price, ladder.task_rungs
     v, a, wraps = limits.v, limits.a, limits.wraps
@@ -457,8 +465,11 @@ def search_greedy(ladder, limits, low, high):
 
 @inner_njit
 def _wound(wound, q, limits, low, high, further) -> bool:
-    """Whether going on to joints q (na) winds one further than its range; wound (3, na): where they are, and the least and
-    the most they were, with their turns. `further` (3, na) is filled with the same behind that step."""
+    """Whether going on to joints q (na) winds one further than its range.
+
+    wound (3, na): where they are now, and their least and greatest positions so far, turns included; further (3, na) is
+    filled with the same after that step
+    """
     for j in range(q.size):
         d = float(q[j]) - wound[0, j]
         if limits.wraps[j]:
@@ -481,8 +492,8 @@ def _put(values, into) -> None:
 
 @inner_njit
 def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
-    """Walk from the node picked at rung r0 up to rung `stop`, always to the cheapest next one; the price of the way, and
-    the rung of a dead end, or -1."""
+    """Walk from the node picked at rung r0 up to rung `stop`, always to the cheapest next one; returns the price, and
+    the rung of a dead end or -1."""
     q, price, periodic, holder_step, time = ladder.q, ladder.price, ladder.periodic, ladder.holder_step, ladder.time
     roll_from, holder_from = ladder.roll_from, ladder.holder_from
     A, B = price.shape[1], price.shape[2]
@@ -521,8 +532,8 @@ def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
 # ----------------------------------------------------------------------------------------------------
 # The search through the ladder graph: dynamic programming over rungs and over all beads.
 #
-# Within a bead a path may keep its roll and holder index from rung to rung or change either by one step; the
-# branch stays. Between beads any end may be followed by any start, at the price of the travel between them.
+# Within a bead, a path may keep its roll and holder index from rung to rung or change either or both by one step; the
+# branch stays. Between beads, any end may be followed by any start, at the price of the travel between them.
 
 
 @dataclass(frozen=True)
@@ -543,10 +554,10 @@ def best_route(
     home: tuple[Array, Array] | None = None,
     counted: Sequence[int] = (),
 ) -> tuple[Route | None, int]:
-    """The cheapest route over all beads, and -1; or None and the rung at which the last way ended.
+    """The cheapest route over all beads, and -1; or None, and the rung at which the last way ended.
 
-    home: prices [s] (rolls, holders, c, labels) of the ways to the first rung's nodes and from the last one's, if they
-    count; see `label_turns`
+    home: prices [s] (rolls, holders, c, labels) of the ways to the first rung's nodes and from the last one's, if these
+    are to count; see `label_turns`
     counted: joints, the arm's or their number for the swept one, whose turns are counted, so that they keep to their
     ranges along every bead
     """
@@ -560,11 +571,11 @@ def best_route(
 
 
 def greedy_route(nodes: Nodes, demand: SampledTasks, limits: Limits) -> tuple[Route | None, int]:
-    """Always the next best candidate, never looking further; the next best start where that leads into a dead end.
+    """Always the next best candidate, never looking ahead; on a dead end, the next best start.
 
-    Same returns as `best_route`; the rung is the furthest that any start led to.
+    Returns the same as `best_route`; the rung is the furthest that any start reached.
     """
-    looked_at = joint_limits(nodes, limits)._replace(far=JUMP)  # who does not look ahead is not kept out of anything
+    looked_at = joint_limits(nodes, limits)._replace(far=JUMP)  # without looking ahead, no extra price for far turns
     arm = slice(0, nodes.q.shape[-1])
     picked, price, stuck = search_greedy(
         ladder_numbers(nodes, demand), looked_at, limits.q_min[arm] + limits.room, limits.q_max[arm] - limits.room
@@ -582,8 +593,8 @@ def ladder_numbers(nodes: Nodes, demand: SampledTasks) -> LadderNumbers:
 
 
 def turns_counted(nodes: Nodes, limits: Limits, counted: Sequence[int], room: float = MARGIN) -> TurnsCounted:
-    """What the search needs to count turns: the whole turns that take any node's angle into a joint's range, less room [rad]
-    at its ends."""
+    """What the search needs to count turns: the whole turns that take any node's angle into a joint's range, less room
+    [rad] at its ends."""
     na, grid = nodes.q.shape[-1], nodes.grid
     there = np.isfinite(nodes.price)
     ends = np.empty((4, len(counted)))
@@ -600,7 +611,7 @@ def turns_counted(nodes: Nodes, limits: Limits, counted: Sequence[int], room: fl
     return TurnsCounted(np.array(counted, dtype=np.int64), least, number, ends[0], ends[1])
 
 
-MOST_LABELLED = 8e8  # nodes with each of their labels, 4 bytes each: a table that goes round 200 times has 200 labels
+MOST_LABELLED = 8e8  # nodes × labels, 4 bytes each: a table that can make 200 turns has 200 labels
 
 
 def may_be_counted(nodes: Nodes, turns: TurnsCounted) -> bool:
@@ -609,7 +620,7 @@ def may_be_counted(nodes: Nodes, turns: TurnsCounted) -> bool:
 
 
 def label_turns(turns: TurnsCounted) -> Ints:
-    """The whole turns (labels, m) of the joints whose turns are counted that each label of a node stands for."""
+    """The whole turns (labels, m) of the counted joints that each label of a node stands for."""
     label, out = np.arange(int(np.prod(turns.number))), []
     for least, number in zip(turns.least, turns.number, strict=True):
         out.append(least + label % number)
@@ -618,7 +629,7 @@ def label_turns(turns: TurnsCounted) -> Ints:
 
 
 def joint_limits(nodes: Nodes, limits: Limits) -> TravelLimits:
-    """The arm's limits and then the swept joint's (any, where there is none)."""
+    """The limits of the arm, then of the swept joint (arbitrary if there is none)."""
     na = nodes.q.shape[-1]
     arm = np.arange(na)
     v, a = np.ones(na + 1), np.ones(na + 1)
@@ -640,12 +651,12 @@ def _route(nodes: Nodes, picked: NDArray[np.int64], price: float) -> Route:
 
 
 # ----------------------------------------------------------------------------------------------------
-# LadderRoute: a route through the ladder's graph with what it was found on, and its angles.
+# LadderRoute: a route through the ladder graph with the demand and nodes it was found on, and its angles.
 
 
 @dataclass(frozen=True)
 class LadderRoute:
-    """A route over some tasks' rungs, with what it was found on."""
+    """A route over some tasks' rungs, with the demand and nodes it was found on."""
 
     demand: SampledTasks
     nodes: Nodes
@@ -665,6 +676,6 @@ class LadderRoute:
 
 
 def angles_along(grid: Grid, index: NDArray[np.int64], period: int, step: float) -> Array:
-    """Angles [rad] of grid indices along a task, continuous round the circle where the grid is the whole of it."""
+    """Angles [rad] of grid indices along a task, unwrapped where the grid covers the whole circle."""
     along = index.astype(float)
     return (np.unwrap(along, period=period) if grid.periodic and period > 1 else along) * step

@@ -21,16 +21,16 @@ from planner.toolpath.task import Cones
 # ----------------------------------------------------------------------------------------------------
 # Clearance in the refinement: the least margins of a path, how they change with its free variables, rows of a program.
 #
-# Only what is near is looked at: where all postures are far from everything there is nothing to hold.
+# Only near bodies are checked: where all postures are far from everything, there is nothing to hold.
 
 COMFORT = 15e-3  # m of margin above which nothing is held: three times what arms keep
-COMFORT_OF_POINTS = 2e-3  # m, the same of part and print: to look farther around the nozzle takes five times as long
-EVERY = 1e-3  # m of the tip's way from one sample that is looked at to the next, where margins are small
-SPARSE = 4  # times as far elsewhere
+COMFORT_OF_POINTS = 2e-3  # m, the same for part and print: looking farther around the nozzle takes five times as long
+EVERY = 1e-3  # m that the tip moves between samples that are checked, where margins are small
+SPARSE = 4  # × EVERY elsewhere
 _SMALL = 6e-3  # m
-ROOM = 2e-4  # m of margin that is asked for, since paths are looked at in samples
+ROOM = 2e-4  # m of margin that is required, since paths are only checked at samples
 _ROWS = 4  # pairs of a sample that are held
-_FEW = 2  # blocks of postures that are looked at sooner than threads begin
+_FEW = 2  # blocks of postures that are checked sooner than threads start
 _STILL = 1e-6  # m/rad: margins that change by less do not change
 
 
@@ -40,7 +40,7 @@ Rows = tuple[Array, Array, Ints, Array]  # of a program: A (r, w), b (r), at (r)
 @dataclass(frozen=True)
 class Clearances:
     """Margins below COMFORT along n samples: sample (k) and margin (k) [m] of each, slope (k, m) by free variables
-    [m/rad]; time (n): what a sample stands for among those that are looked at, in samples."""
+    [m/rad]; time (n): how many samples each checked one stands for."""
 
     time: Array
     sample: Ints
@@ -53,8 +53,8 @@ def clearances(
 ) -> Clearances:
     """The least margins of postures q (n, nj) at times now (n), the nozzle's tip at tip (n, 3); G (n, nj, m) is dq/dz.
 
-    first: the sample to begin with; those before are of no concern.
-    held: whether margins are to be held; if not, only those that lack something come back.
+    first: the sample to begin with; those before are ignored.
+    held: whether margins are to be held; if not, only those that fall short are returned.
     """
     n, nj = q.shape
     if not obstacles.any:
@@ -91,8 +91,10 @@ def clearances(
 
 
 def _beside_small(margin: Array, slope: Array, count: int) -> Ints:
-    """Which of `count` samples, each SPARSE-th of which has margins (k, rows) with slopes (k, rows, nj), lie between
-    two of them one of which has a small margin that can change."""
+    """Which of `count` samples are next to one with a small margin that can change.
+
+    Every SPARSE-th sample has margins (k, rows) with slopes (k, rows, nj); those between it and its neighbours count.
+    """
     small = ((margin < _SMALL) & (np.abs(slope).sum(axis=2) > _STILL)).any(axis=1)
     between = np.repeat(small | np.append(small[1:], False), SPARSE)[:count]
     between[::SPARSE] = False
@@ -100,14 +102,14 @@ def _beside_small(margin: Array, slope: Array, count: int) -> Ints:
 
 
 def shortage(near: Clearances) -> Array:
-    """What lacks (n), in the units of a cone's excess."""
+    """Missing clearance (n), in the units of a cone's excess."""
     lacking = np.zeros(len(near.time))
     np.add.at(lacking, near.sample, CLEARANCE_UNIT * near.time[near.sample] * np.maximum(ROOM - near.margin, 0.0))
     return lacking
 
 
 def clearance_rows(near: Clearances, step: Array, first: Ints, B: Array, free: Array, trust: float) -> Rows:
-    """Rows A (r, w) x <= b (r) that keep margins, from which variable on (r), and the time each stands for (r) [s].
+    """Rows A (r, w) x <= b (r) that keep margins, their first variables (r), and the time each stands for (r) [s].
 
     Only margins that a step within `trust` [rad] could use up have rows.
     """
@@ -135,8 +137,9 @@ class Model:
     """What the kernels need of a cell: arm, holder, limits, obstacles.
 
     numbers, holder: of the arm and of what holds the part; given (k): arm joints that are free themselves
-    limits (3, nj) of velocity, acceleration, jerk, `RATE_SHARES` of the cell's; low, high (nj) ends of the joints' ranges; arm: its joints
-    names (nj) of all joints; terms that the price of a path is the sum of
+    limits (3, nj) of velocity, acceleration, jerk, `RATE_SHARES` of the cell's
+    low, high (nj): ends of the joints' ranges; arm: number of the arm's joints; names (nj) of all joints
+    terms, whose sum is the price of a path
     """
 
     numbers: ArmNumbers
@@ -171,7 +174,7 @@ class PathSegment:
     """A stretch of a task's n samples, and the k control values that it depends on.
 
     tip, frames, normals, cones   of the task
-    step (n)                  time that a sample stands for at the commanded speed [s]; 0: of no concern here
+    step (n)                  time that a sample stands for at the commanded speed [s]; 0: ignored here
     deposits (n)              1 where material is laid down, else 0
     centre (n), D (n, 3, 5)   as in Clock; first (n), B (n, 4, degree + 1) as in Basis
     free (k)                  1 for control values that may move, else 0
@@ -224,8 +227,8 @@ class PathState:
 
 @dataclass(frozen=True)
 class Watch:
-    """What a program watches: rates (n, 3, nj, 2), upwards and downwards, facets (n, b, FACETS.size) of b cones, and the
-    arm's joints (n, na) for the nearer end of their range."""
+    """What a program watches: rates (n, 3, nj, 2), upwards and downwards, facets (n, b, FACETS.size) of b cones, and
+    the arm's joints (n, na) for the nearer end of their range."""
 
     rates: Flags
     facets: Flags
@@ -238,7 +241,7 @@ class Watch:
 
 @dataclass(frozen=True)
 class Expansion:
-    """A path's price around it, but for its bounds: control values that move by x add g x + x H x / 2.
+    """A path's price around it, except for its bounds: control values that move by x add g x + x H x / 2.
 
     H (k m, w) lower band, g (k m); slopes (n, 3 nj, w): of the rates, as shares of their limits
     """
@@ -257,11 +260,11 @@ class Step:
 
 
 class Term:
-    """One term of a path's price. Each is a frozen dataclass; what it does not do, it inherits from here.
+    """One term of a path's price: a frozen dataclass that overrides what it needs of these methods.
 
-    A term adds to the quadratic program around a path what is smooth (`expand`), and rows for what has bounds: those of a
-    sample, which share the program with other terms' rows (`watch`, `missed`, `count`, `fill`), or rows of its own
-    (`further`). To first order the program's change is that of `price`.
+    A term adds its smooth part to the quadratic program around a path (`expand`), and rows for its bounds: either
+    sample by sample, among other terms' rows (`watch`, `missed`, `count`, `fill`), or rows of its own (`further`). To
+    first order, the program changes as `price` does.
     """
 
     name: ClassVar[str]
@@ -274,16 +277,16 @@ class Term:
         """Add the smooth part of the price around a state to H and g."""
 
     def watch(self, model: Model, stretch: PathSegment, state: PathState, trust: float, watch: Watch) -> None:
-        """Mark what needs rows from the start, where a control value moves by `trust` at most [rad]."""
+        """Mark what needs rows from the start, for control values that move by at most `trust` [rad]."""
 
     def missed(
         self, model: Model, stretch: PathSegment, state: PathState, around: Expansion, step: Step, watch: Watch
     ) -> int:
-        """Mark what a step goes beyond without a row; returns how much there was."""
+        """Mark the bounds without a row that a step violates; returns how many."""
         return 0
 
     def count(self, stretch: PathSegment, state: PathState, watch: Watch) -> tuple[Ints, Ints] | None:
-        """Rows (n) and groups of rows that share a slack (n) of each sample; None: there are never any."""
+        """Numbers of rows (n), and of groups that share a slack (n), at each sample; None if there are never any."""
         return None
 
     def fill(
@@ -296,8 +299,8 @@ class Term:
         places: RowPlaces,
         rows: RowsFilled,
     ) -> None:
-        """Write the rows that were counted in their places."""
+        """Write the counted rows to their places."""
 
     def further(self, model: Model, stretch: PathSegment, state: PathState, trust: float) -> Rows | None:
-        """Rows A (r, w) x <= b (r), first variable at (r) and price (r) [s and unit], each with a slack of its own."""
+        """Rows A (r, w) x <= b (r), first variable at (r) and price (r) [s per unit], each with a slack of its own."""
         return None

@@ -1,4 +1,4 @@
-"""Splines over a task's samples: where their knots stand, their bases, and derivatives at the commanded speed."""
+"""Splines over a task's samples: placement of knots, bases, and time derivatives at the commanded speed."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from planner.base.compiled import njit
 from planner.toolpath.task import NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
-# Where along a task its rungs and knots stand: evenly in its samples, denser where the layer's normal turns.
+# Where along a task its rungs and knots are: evenly over its samples, denser where the layer's normal turns.
 
 NARROW = np.radians(30.0)  # cone of the layer to gravity below which the table has to follow the normal
-_TURN_SHARE = 0.5  # of that cone: how far the normal may turn from one place to the next
-FEWEST_TURNING = 4  # samples from one place to the next where the normal turns
-_CALM = 8  # samples to both sides over which the places draw together
-_SHARP = 3e-3  # m: radius of a bend round which knots stand twice as dense; wider bends have less of that
-_BESIDE = 2e-3  # m before and behind a bend that knots stand as dense: joints that hurry round it start early
+_TURN_SHARE = 0.5  # share of that cone by which the normal may turn from one place to the next
+FEWEST_TURNING = 4  # samples from one place to the next, at least, where the normal turns
+_CALM = 8  # samples to each side over which the density of places is smoothed
+_SHARP = 3e-3  # m: knots are twice as dense in bends of this radius or less, and less so in wider ones
+_BESIDE = 2e-3  # m before and after a bend over which knots are as dense: joints that hurry around it start early
 
 
 def places_along(
     task: NozzleTask, spacing: float, fewest: int, turn: float = np.inf, turning: int = FEWEST_TURNING
 ) -> Array:
-    """Places (m) along a task, in shares of its samples, from 0 to 1: `spacing` [m] apart, on the average.
+    """Places (m) along a task, as fractions of its samples from 0 to 1, on average `spacing` [m] apart.
 
-    They are `fewest` samples apart at least. Where the normal turns quickly, what follows it needs more of them: from one
-    to the next it turns by `turn` [rad] at most, and by less where the layer must stay nearly upright, as far as places that
-    are `turning` samples apart allow.
+    They are at least `fewest` samples apart. Where the normal turns quickly, they are denser: from one to the next it
+    turns by at most `turn` [rad], and by less where the layer must stay nearly upright, as far as places `turning`
+    samples apart allow.
     """
     return _placed(task, spacing, fewest, np.ones(len(task) - 1), turn, turning)
 
 
 def knots_along(task: NozzleTask, spacing: float, fewest: int) -> Array:
-    """The same, up to twice as dense where the path bends: there joints have to hurry, and need to be free to do so.
+    """As `places_along`, up to twice as dense where the path bends: joints have to hurry there and need the freedom.
 
-    Not where the table has to follow the normal: round bends the table has no freedom left, and more knots only get in
-    each other's way (the part of Chen et al. is printed at speed on less of its length with them).
+    Not where the table has to follow the normal: around bends the table has no freedom left, and more knots only get in
+    each other's way (with them, less of the part of Chen et al. is printed at speed).
     """
     if task.cones.layer_gravity < NARROW:
         return places_along(task, spacing, fewest)
@@ -54,7 +54,7 @@ def knots_along(task: NozzleTask, spacing: float, fewest: int) -> Array:
 def _placed(
     task: NozzleTask, spacing: float, fewest: int, crowd: Array, turn: float = np.inf, turning: int = FEWEST_TURNING
 ) -> Array:
-    """Places that crowd as many times as dense (n - 1) between samples."""
+    """Places whose density is multiplied by `crowd` (n - 1) between samples."""
     n = len(task)
     m = max(min(int(np.ceil((task.s[-1] - task.s[0]) / spacing)), (n - 1) // fewest), 1)
     density = np.minimum(m / (n - 1) * crowd, max(1.0 / fewest, m / (n - 1)))
@@ -71,28 +71,28 @@ def _placed(
 
 
 def _angles(ways: Array) -> Array:
-    """Angles (n - 1) between unit vectors (n, 3) and the next."""
+    """Angles (n - 1) between consecutive unit vectors (n, 3)."""
     return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(np.diff(ways, axis=0), axis=1), 1.0)))
 
 
 def breaks_of(places: Array, count: int) -> Array:
-    """`count` points from 0 to 1, as evenly spread among places (m) as they are among themselves."""
+    """`count` points from 0 to 1, distributed as the places (m) are."""
     return np.interp(np.linspace(0.0, len(places) - 1.0, count), np.arange(len(places)), places)
 
 
 # ----------------------------------------------------------------------------------------------------
 # Splines over a task's samples, and derivatives in time at the commanded speed.
 #
-# Samples are a smooth function of their index, so that derivatives by the index (differences of five neighbours)
-# become derivatives in time by the chain rule.
+# Samples are a smooth function of their index, so derivatives by the index (five-point finite differences) become
+# time derivatives by the chain rule.
 
 DEGREE = 5  # four continuous derivatives: jerk has no steps
-LEAST_SAMPLES = 5  # that a stencil needs
+LEAST_SAMPLES = 5  # samples that a stencil needs
 _OFFSETS = np.arange(-2.0, 3.0)
 
 
 def _stencils() -> Array:
-    """Weights (5, 3, 5) of five neighbours' values for derivatives 1, 2, 3 at each of the five places among them."""
+    """Weights (5, 3, 5) of five neighbouring values for derivatives 1, 2 and 3 at each of the five."""
     powers = np.arange(5)
     out = np.empty((5, 3, 5))
     for place, x in enumerate(_OFFSETS):
@@ -108,7 +108,7 @@ class Clock:
     step (n)         time that a sample stands for [s]
     rate (n, 3)      first three derivatives of time by the sample's index
     centre (n)       middle of each sample's five-point stencil
-    D (n, 3, 5)      weights of five neighbours that give the first three derivatives in time
+    D (n, 3, 5)      weights of five neighbours that give the first three time derivatives
     """
 
     step: Array
@@ -131,7 +131,7 @@ def clock_of(t: Array) -> Clock:
 
 
 def _by_time(by_index: Array, rate: Array) -> Array:
-    """Derivatives of order 1, 2, 3 by the index (n, 3, k) into derivatives in time; rate (n, 3) as in Clock."""
+    """Turn derivatives 1, 2, 3 by the index (n, 3, k) into time derivatives; rate (n, 3) as in Clock."""
     t1, t2, t3 = (rate[:, k, None] for k in range(3))
     first = by_index[:, 0] / t1
     second = (by_index[:, 1] - first * t2) / t1**2
@@ -143,8 +143,8 @@ def _by_time(by_index: Array, rate: Array) -> Array:
 class Basis:
     """B-splines on clamped knots over n samples, with m control values.
 
-    first (n)              control value that the first of a sample's degree + 1 B-splines belongs to
-    B (n, 4, degree + 1)   their values and their first three derivatives in time
+    first (n)              control value of the first of a sample's degree + 1 B-splines
+    B (n, 4, degree + 1)   their values and their first three time derivatives
     """
 
     first: Ints
@@ -171,7 +171,7 @@ def spline_values(first: Ints, B: Array, c: Array) -> Array:
 def basis_over(clock: Clock, places: Array) -> Basis:
     """B-splines over a clock's samples; the degree is 5, or one less than the number of control values.
 
-    places (m): about where each control value stands, from 0 to 1, in shares of the samples.
+    places (m): roughly where each control value is, as a fraction of the samples from 0 to 1.
     """
     n, controls = len(clock.step), len(places)
     degree = min(DEGREE, controls - 1)

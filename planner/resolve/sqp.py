@@ -34,18 +34,18 @@ from planner.toolpath.task import Cones, NozzleTask
 Improve = Callable[[Model, PathSegment, PathState], PathState]  # to a state that costs no more, on the same branch
 
 # ----------------------------------------------------------------------------------------------------
-# A long bead in windows of control values that overlap: each second one first, then those between them.
+# A long bead in overlapping windows of control values: every second one first, then those between them.
 
-WINDOW = 240  # control values that move at once: fewer, and their seams cost more; more, and cores wait for each other
-OVERLAP = 40  # of a window with each neighbour
-# Of a bead that cannot be taken as it was refined as a whole: so short that little is lost where one is left as it was.
+WINDOW = 240  # control values that move at once: with fewer, seams cost more; with more, cores wait for each other
+OVERLAP = 40  # control values that a window shares with each neighbour
+# For a bead whose refinement as a whole is rejected: so short that little is lost where a window stays unrefined.
 SHORT_WINDOW, SHORT_OVERLAP = 24, 5
 
 
 @dataclass(frozen=True)
 class SplinePath:
-    """A path as splines: its task, clock and basis, control values c (k, m), where they
-    were given (anchor), joints q (n, nj), and price [s]."""
+    """A path as splines: its task, clock and basis, control values c (k, m) and those it was given with (anchor),
+    joints q (n, nj), and price [s]."""
 
     task: NozzleTask
     branch: int
@@ -68,7 +68,7 @@ class RefinedWindow:
 
 
 def windows(controls: int, *, short: bool = False) -> list[tuple[int, int]]:
-    """Ranges of control values that move together; each second one is apart from the others."""
+    """Ranges of control values that move together; a window overlaps only the one before and the one after."""
     window, overlap = (SHORT_WINDOW, SHORT_OVERLAP) if short else (WINDOW, OVERLAP)
     if controls <= window + overlap:
         return [(0, controls)]
@@ -80,7 +80,7 @@ def windows(controls: int, *, short: bool = False) -> list[tuple[int, int]]:
 class Windowed:
     """A track whose windows are refined by several threads with a model: which may begin, and what each begins with.
 
-    A window that lies between two others waits for these alone, so what comes out does not depend on the threads.
+    A window between two others waits for just those two, so the result does not depend on the threads.
     """
 
     def __init__(self, model: Model, track: SplinePath, *, short: bool = False) -> None:
@@ -101,8 +101,8 @@ class Windowed:
         return self._with(() if k % 2 == 0 else (k - 1, k + 1))
 
     def done(self, k: int, piece: RefinedWindow | None) -> tuple[list[int], bool]:
-        """Take a refined window, or None where there is nothing to refine; windows that may begin now, and whether this
-        was the last one."""
+        """Take a refined window, or None if there was nothing to refine; returns the windows that may begin now, and
+        whether this was the last one."""
         n = len(self.edges)
         with self._lock:
             self._pieces[k] = piece
@@ -124,13 +124,13 @@ class Windowed:
 # ----------------------------------------------------------------------------------------------------
 # Strategy `sqp`: the ladder's paths, refined continuously over all free variables.
 
-SAMPLES_PER_CONTROL = 4  # at least: what moves between control values must be resolved by the samples
-_PAD = 4  # samples on both sides of a window that its derivatives look at
+SAMPLES_PER_CONTROL = 4  # at least: samples must resolve the motion between control values
+_PAD = 4  # samples on each side of a window that its derivatives depend on
 _WORTH_IT = 5e-3  # share of the price that refining in short windows must be able to save
 BEYOND = 8e-4  # rad beyond a cone from which a plan may fail verification, which allows 0.05 degrees
-_NARROWER = 1.5  # ranges are narrowed by this many times what joints overshoot them by,
-_MOST_NARROWED = 0.2  # and by this share of their width at most
-_FLOOR = 1.0 + 1e-3  # times the least singular value that was given: the program may miss a bound by less
+_NARROWER = 1.5  # ranges are narrowed by this multiple of the joints' overshoot,
+_MOST_NARROWED = 0.2  # but at most by this share of their width
+_FLOOR = 1.0 + 1e-3  # × the least singular value given: the program may miss a bound by less than that
 
 
 def sqp(
@@ -138,8 +138,8 @@ def sqp(
 ) -> tuple[JointPath, ...]:
     """The ladder's paths, their free variables refined until no step lowers the price (see `terms`).
 
-    No path comes back that costs more than the ladder's. Layers follow each other: a bead starts from the
-    refined one below it, where that is cheaper. Raises Refusal as `ladder` does.
+    No path costs more than the ladder's. Layers follow each other: a bead starts from the refined one below it where
+    that is cheaper. Raises Refusal as `ladder` does.
     """
     return refine_paths(cell, ladder(cell, tasks, settings, obstacles), settings, obstacles)
 
@@ -152,9 +152,9 @@ def refine_paths(
     obstacles: Obstacles = NOTHING,
     own: Sequence[Term] = (),
 ) -> tuple[JointPath, ...]:
-    """Refine every path: beads that lie on each other in turn, all else that does not wait for others at the same time.
+    """Refine every path: beads that lie on each other one after another, all others in parallel.
 
-    own: terms of a user's, which join those of the settings' weights.
+    own: a user's own terms, which join those with the settings' weights
     """
     model = model_of(cell, obstacles, terms_of(settings.weights, own))
     given = given_prices(model, paths, settings)
@@ -170,13 +170,13 @@ def refine_beads(
     floor: float,
     improve: Improve | None = None,
 ) -> list[JointPath]:
-    """Refine paths with the prices of `given_prices` down to a floor of `sigma_floor`; turns are still to be chosen.
+    """Refine paths with the prices of `given_prices` and the floor of `sigma_floor`; turns are still to be chosen.
 
-    improve: of a window; by quadratic programs, with the solver of the settings, if it is not given
+    improve: refines a window; if not given, by quadratic programs with the settings' solver
 
-    A bead depends on those beneath it alone. One that cannot be taken as a whole is refined again: with narrower
-    ranges of joints that would leave theirs before they come to rest behind it, then in short windows, of which those are
-    taken that keep what they kept.
+    A bead depends only on those beneath it. One that cannot be accepted as a whole is refined again: with narrower
+    ranges for joints that would leave theirs before they come to rest after it, then in short windows, of which those
+    that keep within bounds as well as before are accepted.
     """
     improved = improve or by_programs(qp_solver(settings.qp))
     done = list(paths)
@@ -215,16 +215,16 @@ def refine_beads(
         in_turn([partial(start, chain, None) for chain in chains[first:last]])
         return {i: done[i] for chain in chains[first:last] for i in chain}
 
-    # threads that refine short beads wait for each other's Python
+    # threads that refine short beads wait for each other's Python code
     for found in in_halves(part, len(chains), worth_a_copy(model, len(chains))):
         for i, path in found.items():
-            done[i] = replace(path, task=paths[i].task)  # one of each task, whichever process it comes from
+            done[i] = replace(path, task=paths[i].task)  # one object per task, whichever process it comes from
     return done
 
 
 def worth_a_copy(model: Model, count: int) -> bool:
-    """Whether so many beads are worth a copy of this process; never where a user's terms are asked: their libraries may hang
-    there, and what they note down would be lost."""
+    """Whether so many beads are worth a copy of this process; never with a user's own terms: their libraries may hang
+    there, and whatever they record would be lost."""
     return count >= MANY and not any(isinstance(term, Own) for term in model.terms)
 
 
@@ -243,7 +243,7 @@ def by_programs(solver: QPSolver) -> Improve:
 
 
 def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec) -> dict[int, Priced]:
-    """What the paths that are long enough to be refined cost as they are, by their index."""
+    """What paths that are long enough to be refined cost as they are, by their index."""
     long_enough = [i for i, path in enumerate(paths) if len(path.task) >= LEAST_SAMPLES]
 
     def price(i: int) -> Priced:
@@ -256,28 +256,28 @@ def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec
 
 
 def sigma_floor(given: dict[int, Priced], settings: ResolveSpec) -> float:
-    """The least singular value that refined paths must keep, from what `given_prices` says."""
+    """The least singular value that refined paths must keep, from the result of `given_prices`."""
     return _FLOOR * max(settings.min_sigma, min((path.sigma for path in given.values()), default=0.0))
 
 
 def judged(
     cell: Cell, path: JointPath, given: Priced, track: SplinePath, floor: float, model: Model
 ) -> tuple[JointPath, float]:
-    """A refined track as a path if it costs less than the path that was given and keeps what it kept, else that. One that
-    stays within the cones is taken at any price in the place of one that does not.
+    """A refined track as a path if it costs less than the given path and is as well within bounds, else the given path.
 
-    With it, what it would have saved [s] where it is cheaper but keeps less, else 0. model: as it was refined with
+    A track within the cones replaces a path that is not, at any price. Also returns what the track would have saved [s]
+    if it is cheaper but less well within bounds, else 0. model: the one it was refined with
     """
     if not np.isfinite(track.price):
         return path, 0.0
     refined = path_of(cell, track)
     least = _least_margin(refined, model.obstacles)
-    # who has room everywhere lacks no clearance that would have a price
+    # a path with room everywhere pays nothing for clearance
     cost = given_price(replace(model, obstacles=NOTHING) if least >= ROOM else model, refined, floor)
     keeps = cost.sigma >= min(floor / _FLOOR, given.sigma) and _within(cell, refined.q)
     was, now = (_overshoots(cell, path.task, slice(0, len(path.task)), each.q).max() for each in (path, refined))
     keeps = keeps and now <= max(was, 0.0)
-    # cones have but a price in the program, too
+    # cones, too, are only priced in the program
     keeps = keeps and cost.beyond <= max(given.beyond, 0.0)
     keeps = keeps and (least >= -SLIGHT or least >= _least_margin(path, model.obstacles))
     # a path that leans too far to be printed is no bargain
@@ -289,7 +289,7 @@ def judged(
 
 
 def _keeps(cell: Cell, model: Model, track: SplinePath, piece: RefinedWindow, floor: float) -> bool:
-    """Whether a refined window keeps what it kept before: singular value, cones, ranges, clearance."""
+    """Whether a refined window is as well within bounds as before: singular value, cones, ranges, clearance."""
     task, before, after = track.task, piece.before, piece.state
     at = np.arange(piece.samples.start, piece.samples.stop)
     laid = (at >= task.first) & (at <= task.last)
@@ -313,14 +313,14 @@ def _least_margin(path: JointPath, obstacles: Obstacles) -> float:
 
 
 def _least_of(q: Array, moments: Array, task: NozzleTask, obstacles: Obstacles) -> float:
-    # what is round about the nozzle's axis is as near to the part in all upright paths of a task
+    # bodies that are round about the nozzle's axis are as near to the part in all upright paths of a task
     if task.cones.tilt == 0.0:
         obstacles = obstacles.but_round_on_part
     return float(obstacles.margins(q, moments, ROOM)[0].min())
 
 
 def _within(cell: Cell, q: Array) -> bool:
-    """Whether joints (n, nj) keep to their ranges, between samples too: in the program they have a price, if a high one."""
+    """Whether joints (n, nj) keep to their ranges, between samples too: in the program, ranges are only priced."""
     peak = np.zeros_like(q)  # how far beyond a sample a parabola through it and its neighbours may reach
     peak[1:-1] = np.abs(np.diff(q, n=2, axis=0)) / 8.0
     low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
@@ -328,8 +328,11 @@ def _within(cell: Cell, q: Array) -> bool:
 
 
 def _overshoots(cell: Cell, task: NozzleTask, samples: slice, q: Array) -> Array:
-    """How far [rad, m] each joint (nj) of some samples would leave its range before it comes to rest behind an end of the task,
-    or since it was at rest before it: beads are begun and left in motion. Those stay within it that are not positive."""
+    """How far [rad, m] each joint (nj) would leave its range in starting before the task or coming to rest after it.
+
+    Beads are begun and left in motion. Only those ends of the task count that are among the samples. Joints with values
+    that are not positive stay within their range.
+    """
     limits, over = cell.limits, np.full(q.shape[1], -np.inf)
     for end, inner in ((0, 1), (len(task) - 1, len(task) - 2)):
         if not samples.start <= min(end, inner) or not max(end, inner) < samples.stop:
@@ -342,13 +345,13 @@ def _overshoots(cell: Cell, task: NozzleTask, samples: slice, q: Array) -> Array
 
 
 def _narrowed(model: Model, over: Array) -> Model:
-    """A model with narrower ranges of joints that overshoot theirs (nj) [rad, m]."""
+    """A model with narrower ranges for joints that overshoot theirs by `over` (nj) [rad, m]."""
     room = np.minimum(_NARROWER * np.maximum(over, 0.0), _MOST_NARROWED * (model.high - model.low))
     return replace(model, low=model.low + room, high=model.high - room)
 
 
 def _chains(paths: Sequence[JointPath], indices: Container[int]) -> list[list[int]]:
-    """Of these indices those of beads that lie on each other, from below."""
+    """These indices, grouped by beads that lie on each other, from the bottom up."""
     stacks = stacks_of([path.task for path in paths])
     return sorted(filter(None, ([i for i in stack if i in indices] for stack in stacks)))
 
@@ -370,7 +373,7 @@ def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> PathSe
     deposits[task.first : task.last + 1] = 1.0
     hold = np.zeros(basis.controls)
     hold[[0, -1]] = 1.0
-    normals = np.array(task.normals)  # read-only ones would be another type, for which `follow` is compiled once more
+    normals = np.array(task.normals)  # read-only arrays are another type, for which `follow` would be compiled again
     return PathSegment(
         task.tip, task.frames, normals, task.cones, clock.step, deposits, clock.centre, clock.D,
         basis.first, basis.B, np.ones(basis.controls), anchor, hold, task.moments,
@@ -378,8 +381,8 @@ def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> PathSe
 
 
 class Priced(NamedTuple):
-    """What a path costs: its price [s]; in deposition its least singular value, how far it leans beyond the cones at most,
-    negative within them [rad], and the time lost [s]."""
+    """What a path costs: its price [s]; during deposition, its least singular value, its greatest lean beyond the cones
+    [rad], negative within them, and the time lost [s]."""
 
     price: float
     sigma: float
@@ -388,7 +391,7 @@ class Priced(NamedTuple):
 
 
 def given_price(model: Model, path: JointPath, least_sigma: float) -> Priced:
-    """What a path costs as it is; everything, where the kernels cannot follow it."""
+    """What a path costs as it is; infinite where the kernels cannot follow it."""
     clock = clock_of(path.task.s / path.task.speed)
     stretch = whole(path.task, clock, basis_over(clock, np.array([0.0, 1.0])), np.zeros((2, 0)))
     state = evaluate_samples(model, stretch, np.zeros((2, 0)), free_variables(model, path), path.q, least_sigma)
@@ -417,7 +420,7 @@ def start_track(model: Model, knot: float, floor: float, path: JointPath, below:
         flip = slice(None, None, -1 if backwards else 1)
         lower = _counted_from(below.c[flip], zeros_apart(task, below.task, backwards), task.cones)
         near = below.q[flip][np.round(np.linspace(0, len(below.q) - 1, n)).astype(int)]
-        turns = np.round((c[0] - lower[0]) / TURN) * TURN  # they were chosen for each bead
+        turns = np.round((c[0] - lower[0]) / TURN) * TURN  # chosen for each bead separately
         other = evaluate(model, stretch, lower + turns, near, floor)
         if other is not None and (best is None or other.price < best.price):
             best = other
@@ -427,7 +430,7 @@ def start_track(model: Model, knot: float, floor: float, path: JointPath, below:
 
 
 def _counted_from(c: Array, back: float, cones: Cones) -> Array:
-    """Control values (k, m) of the same nozzle where roll and tilt count from a zero that stands so far [rad] back."""
+    """Control values (k, m) for the same nozzle, with roll and tilt counted from a zero `back` [rad] earlier."""
     out = c.copy()
     out[:, ROLL] += back
     if cones.tilt > 0.0:
@@ -462,7 +465,7 @@ def refine_window(
     all_of_it = whole(track.task, track.clock, track.basis, track.anchor)
     step, deposits = all_of_it.step[samples].copy(), all_of_it.deposits[samples].copy()
     for edge, inner in ((slice(0, 2), a > 0), (slice(b - a - 2, b - a), b < n)):
-        if inner:  # their stencils reach out of the window
+        if inner:  # their stencils reach beyond the window
             step[edge] = deposits[edge] = 0.0
     free = np.zeros(controls.stop - controls.start)
     free[k0 - controls.start : k1 - controls.start] = 1.0

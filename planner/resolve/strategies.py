@@ -19,18 +19,18 @@ Strategy = Callable[[Cell, Sequence[NozzleTask], ResolveSpec, Obstacles], tuple[
 
 
 def _nlp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
-    """See `planner.resolve.reference.nlp`, loaded for who asks for it only: nobody else needs CasADi."""
+    """See `planner.resolve.reference.nlp`, imported on demand: no other strategy needs CasADi."""
     from planner.resolve.reference.nlp import nlp
 
     return nlp(cell, tasks, settings)
 
 
 def _without(strategy: Unaware) -> Strategy:
-    """A strategy that knows of no obstacles, with the signature of all."""
+    """A strategy that ignores obstacles, with the common signature."""
     return lambda cell, tasks, settings, obstacles: strategy(cell, tasks, settings)
 
 
-# What strategies to compare with run into, verification tells.
+# Strategies for comparison, which ignore obstacles: verification reports what they collide with.
 UNAWARE = ("as_published", "fixed", "greedy", "nlp")
 STRATEGIES: dict[str, Strategy] = {
     "as_published": _without(as_published),

@@ -1,9 +1,9 @@
 """The table before the arm: angles of a positioner's last two axes where cones about the vertical bind them.
 
-Where the surface normal must stay near the vertical, few of the table's angles will do at a place of the path: cells of a
-lattice, sparse in it. One dynamic programme chooses among them together with the heading of the nozzle in the world and the
-arm's branch, so that the table goes where the arm can follow. Roll and branch are searched once more along what is found,
-with the postures themselves. Here the arm is known from a map of its postures with the nozzle straight down.
+Where the surface normal must stay near the vertical, few table angles are admissible at a place of the path: sparse
+cells of a lattice. A single dynamic programme chooses among them together with the nozzle's heading in the world and
+the arm's branch, so that the table goes where the arm can follow. Roll and branch are then searched again along the
+table's path, with the actual postures. Here a map of postures with the nozzle straight down represents the arm.
 """
 
 from __future__ import annotations
@@ -47,23 +47,23 @@ from planner.resolve.reach import (
 )
 from planner.toolpath.task import NozzleTask
 
-BINDING = np.radians(45.0)  # least cone of the layer to the vertical above which the table is not bound by it
+BINDING = np.radians(45.0)  # cone of the surface normal to the vertical below which it binds the table
 _STEPS_IN_CONE = 3.3  # lattice steps in that cone
 _FINEST, _COARSEST = np.radians(2.0), np.radians(6.0)
 _HEADINGS = 30
-_VOXEL = 15e-3  # m: tip positions nearer than this share their postures
+_VOXEL = 15e-3  # m: tip positions in a cube of this size share their postures
 _CONE_ROOM = 0.95  # share of the cone that cells may use: the spline through them needs the rest
 _CALM_LEAN = 0.7  # share of the cone beyond which a lean has a price
-_SPEED_SHARE = 0.7  # of an axis' speed that counts as its full speed: splines and accelerations need the rest
-_CALM_NEED = 0.7  # share of a joint's speed that the tip's may need for nothing
-_MOST_TURNS = 8  # that an axis has, whose range is searched as a whole
-_FARTHEST = np.radians([60.0, 90.0, 72.0])  # that tilt, rotation and heading may turn from rung to rung
-_MOST_VALUES = 5e7  # of the programme that are kept (4 bytes each); longer paths are searched in blocks, twice
+_SPEED_SHARE = 0.7  # share of an axis's speed that counts as full speed: splines and accelerations need the rest
+_CALM_NEED = 0.7  # share of a joint's speed that the tip's speed may take up without a price
+_MOST_TURNS = 8  # turns: an axis whose range is shorter may be searched over all of it
+_FARTHEST = np.radians([60.0, 90.0, 72.0])  # largest turns of tilt, rotation and heading from rung to rung
+_MOST_VALUES = 5e7  # values of the programme kept in memory (4 bytes each); longer paths are searched in blocks, twice
 
 
 class Lattice(NamedTuple):
-    """Angles a (na) and b (nb) [rad] of the two axes, and what the part does there: the vertical in its frame (na, nb, 3),
-    its pose in the world (na, nb, 4, 4); turns (3): which of tilt, rotation and heading go round the circle."""
+    """Angles a (na) and b (nb) [rad] of the two axes, and the part there: the vertical in its frame, up (na, nb, 3),
+    and its pose in the world (na, nb, 4, 4); turns (3): which of tilt, rotation and heading go all the way round."""
 
     a: Array
     b: Array
@@ -76,7 +76,7 @@ class Cells(NamedTuple):
     """The cells of r rungs: those of rung k are first[k] .. first[k + 1].
 
     a, b (m) lattice indices; lean (m) price of the layer's lean [s/s]; voxel (m) of the tip's position
-    time (r) [s] from the rung before; begins (r) whether a bead begins there, to which there is travel
+    time (r) [s] from the previous rung; begins (r) whether a bead begins there, after travel
     """
 
     first: Ints
@@ -89,9 +89,9 @@ class Cells(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Lattice steps (3) [rad] and full speeds (3) [rad/s] of tilt, rotation and heading, and the longest moves (3) [steps].
+    """Lattice steps (3) [rad], full speeds (3) [rad/s] and longest moves (3) [steps] of tilt, rotation and heading.
 
-    anywhere: whether tilt and rotation move past angles that will do neither before nor after, too
+    anywhere: whether tilt and rotation may also pass angles that are admissible neither before nor after
     """
 
     step: Array
@@ -101,9 +101,9 @@ class Steps(NamedTuple):
 
 
 def table_path(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks) -> Array:
-    """Angles (r, k) of the cell's chosen joints at the rungs: the holder's last two axes found, the others at home.
+    """Angles (r, k) of the cell's chosen joints at the rungs: the holder's last two axes as found, the others at home.
 
-    Where no angles keep to the cones, those that miss them least are taken.
+    Where no angles keep within the cones, those that exceed them least are used.
     """
     out, wound = _table_path(cell, tasks, demand, frozenset())
     return _table_path(cell, tasks, demand, wound)[0] if wound else out
@@ -112,8 +112,11 @@ def table_path(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks) ->
 def _table_path(
     cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, whole: frozenset[int]
 ) -> tuple[Array, frozenset[int]]:
-    """As `table_path`, and axes (joints of the holder) that it winds further along a bead than their range is, however they
-    are turned, unless their whole range is searched (`whole`) in place of a circle."""
+    """As `table_path`, and the axes (holder joints) that it winds too far.
+
+    Along some bead these leave their range whatever whole turns are added. Searching the whole range of an axis
+    (`whole`) instead of a circle prevents that.
+    """
     nh = len(cell.holder)
     axes = (nh - 2, nh - 1)
     home = at_rest(cell)
@@ -146,8 +149,8 @@ def _table_path(
 def carried(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, held: Array) -> SampledTasks:
     """The demand while the chosen joints move through angles (r, k) at the rungs.
 
-    Its frames stand at a heading in the world, whatever the table does, and lean as the cones ask for; its twists are those
-    of the nozzle in the world, as seen in the part frame at the rung.
+    Its frames have a fixed heading in the world, whatever the table does, and lean as the cones require; its twists are
+    those of the nozzle in the world, expressed in the part frame at the rung.
     """
     nh = len(cell.holder)
     offset = 0
@@ -173,12 +176,12 @@ def carried(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, held:
 
 
 def _headed(z: Array) -> Array:
-    """Orientations (n, 3, 3) with nozzle axes z (n, 3, 1), turned by the least angle from straight down with x ahead."""
+    """Orientations (n, 3, 3) with nozzle axes z (n, 3, 1): straight down, x ahead, turned by the least angle."""
     z = z[:, :, 0]
     lean = np.arctan2(np.hypot(z[:, 0], z[:, 1]), -z[:, 2])
     level = np.maximum(np.hypot(z[:, 0], z[:, 1]), 1e-12)
     e, c, s = z[:, :2] / level[:, None], np.cos(lean), np.sin(lean)
-    # straight down is x ahead, y to the right: what lies in the direction e of the lean is lifted, the rest stays
+    # straight down has x ahead, y to the right: the component along the lean's direction e is lifted, the rest stays
     out = np.empty((len(z), 3, 3))
     for column, (x, y) in enumerate(((1.0, 0.0), (0.0, -1.0))):
         along = e[:, 0] * x + e[:, 1] * y
@@ -190,7 +193,7 @@ def _headed(z: Array) -> Array:
 
 
 def _lattice(cell: Cell, axes: tuple[int, int], step: float, home: Array, whole: frozenset[int]) -> Lattice:
-    """The lattice of two holder axes, the others at home (k); whole: axes of which all of the range counts."""
+    """The lattice of two holder axes, the others at home (k); whole: axes whose entire range is covered."""
     angles, turns = zip(*(_angles(cell, axis, step, axis in whole) for axis in axes), strict=True)
     a, b = np.meshgrid(*angles, indexing="ij")
     holder = np.tile(home[: len(cell.holder)], (a.size, 1))
@@ -200,8 +203,8 @@ def _lattice(cell: Cell, axes: tuple[int, int], step: float, home: Array, whole:
 
 
 def _angles(cell: Cell, axis: int, step: float, whole: bool = False) -> tuple[Array, bool]:
-    """Angles of a holder axis in its range, and whether they are a circle: where it goes round, unless the whole range is
-    asked for."""
+    """Angles of a holder axis in its range, and whether they form a circle: if it can turn all the way round, unless
+    its `whole` range is wanted."""
     joint = len(cell.arm) + axis
     low, high = cell.limits.q_min[joint], cell.limits.q_max[joint]
     if high - low >= 2.0 * np.pi and not whole:
@@ -218,7 +221,7 @@ def _spacing(angles: Array) -> float:
 
 
 def _cells(lattice: Lattice, demand: SampledTasks, cone: float) -> tuple[Cells, Array]:
-    """The cells of all rungs, and the middles (v, 3) [m] of the voxels that their tip positions are in."""
+    """The cells of all rungs, and the centres (v, 3) [m] of the voxels that contain their tip positions."""
     axes = np.ascontiguousarray(-demand.frames[demand.rung, :, 2])
     first, a, b, lean, tips = _find_cells(lattice.up, lattice.T_world_part, axes, demand.tip[demand.rung], cone)
     box = np.floor(tips / _VOXEL).astype(np.int64)
@@ -235,8 +238,11 @@ def _cells(lattice: Lattice, demand: SampledTasks, cone: float) -> tuple[Cells, 
 
 @njit
 def _find_cells(up, T_world_part, normals, tips, cone):
-    """Cells of rungs with normals, tips (r, 3), of lattice points whose up (na, nb, 3) is within the cone [rad] or as near as
-    can be: first (r + 1), lattice indices a, b (m), price of the lean (m) [s/s], tip in the world (m, 3) [m]."""
+    """Cells of rungs with normals, tips (r, 3): the lattice points whose up (na, nb, 3) is within the cone [rad], or
+    nearly as close to it as possible.
+
+    Returns first (r + 1), lattice indices a, b (m), price of the lean (m) [s/s], tip in the world (m, 3) [m].
+    """
     na, nb = up.shape[0], up.shape[1]
     r = len(normals)
     first = np.zeros(r + 1, dtype=np.int64)
@@ -247,7 +253,7 @@ def _find_cells(up, T_world_part, normals, tips, cone):
             for j in range(nb):
                 c = normals[k, 0] * up[i, j, 0] + normals[k, 1] * up[i, j, 1] + normals[k, 2] * up[i, j, 2]
                 most = max(most, c)
-        # what leans as little as can be, if that is beyond the cone
+        # the cone, or a tenth more than the least possible lean if that is larger
         least[k] = min(np.cos(cone), np.cos(min(1.1 * np.arccos(min(most, 1.0)) + 1e-6, np.pi)))
         count = 0
         for i in range(na):
@@ -280,8 +286,11 @@ def _find_cells(up, T_world_part, normals, tips, cone):
 
 
 def _posture_prices(cell: Cell, middles: Array, speed: float) -> NDArray[np.float32]:
-    """Prices (v, headings, 8) [s/s] of the arm's postures with the nozzle straight down at positions (v, 3), its tip moving at
-    a speed [m/s]: closeness, and what that speed needs of the joints'. Rails go along with the nozzle, see `gone_along`."""
+    """Prices (v, headings, branches) [s/s] of the arm's postures with the nozzle straight down at positions (v, 3).
+
+    What counts is closeness to singularities and ends of ranges, and the joint speeds needed to move the tip at a speed
+    [m/s]. Rails go along with the nozzle, see `gone_along`.
+    """
     price = np.full((len(middles), _HEADINGS, cell.inverse.branch_count), NO_POSTURE_PRICE, dtype=np.float32)
     redundant = gone_along(cell, middles) if cell.given else np.zeros((len(middles), 1))
     arm, limits = arm_numbers(cell), arm_limits(cell)
@@ -295,7 +304,7 @@ def _posture_prices(cell: Cell, middles: Array, speed: float) -> NDArray[np.floa
 
 @njit
 def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
-    """Fill price (v, headings, 8) of postures that exist; see `_posture_prices`."""
+    """Fill price (v, headings, branches) for postures that exist; see `_posture_prices`."""
     kind, solver, p, solved = arm.kind, arm.solver, arm.parameters, arm.solved
     q_min, q_max, v_max = limits.q_min, limits.q_max, limits.v_max
     na, headings = q_min.size, price.shape[1]
@@ -354,17 +363,19 @@ def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
 
 # Dynamic programming over cells, headings and branches.
 #
-# The price of a move is that of tilt, of rotation and of heading added up, so its cheapest one is found axis by axis: from
-# cells to places that have their rotation and the new tilt, from there to the new cells, then over headings. Values alone are
-# kept; the way back looks for where each came from. No axis moves past angles that will do neither before nor after: the
-# nozzle would leave its cone on the way.
+# The price of a move is the sum of those of tilt, rotation and heading, so the cheapest one is found axis by axis: from
+# cells to places with their rotation and the new tilt, from there to the new cells, then over headings. Only values are
+# kept; tracing back finds out where each came from. No axis passes angles that are admissible neither before nor after:
+# the nozzle would leave its cone on the way.
 
 
 def _cheapest(
     cells: Cells, price: NDArray[np.float32], turns: Flags, steps: Steps, size: tuple[int, int, int], near: Ints
 ) -> Ints:
-    """Lattice indices (r, 2) of the cheapest way; `near` (2) are those where it begins. Where there is none past cells alone,
-    the cheapest past any angles: postures along it tell what it is worth."""
+    """Lattice indices (r, 2) of the cheapest way, which starts from `near` (2).
+
+    If no way passes cells only, the cheapest past any angles: the postures along it will show what it is worth.
+    """
     r = len(cells.time)
     width = price.shape[1] * price.shape[2]
     block = r if cells.first[-1] * width <= _MOST_VALUES else max(int(np.ceil(np.sqrt(r))), 2)
@@ -389,7 +400,7 @@ def _cheapest(
 
 @njit
 def _begin(cells, price, steps, turns, near):
-    """Values (m, headings * 8) of the first rung's cells."""
+    """Values (m, headings * branches) of the first rung's cells."""
     m = cells.first[1]
     headings, branches = price.shape[1], price.shape[2]
     out = np.empty((m, headings * branches), dtype=np.float32)
@@ -408,7 +419,7 @@ def _begin(cells, price, steps, turns, near):
 def _move_prices(axis, begins, time, steps, size, turns, out) -> int:
     """Fill out (2 w + 1) with prices [s] of moves by -w .. w steps of an axis, and return w.
 
-    Within a bead a mild square, and the time that is lost where the axis is too slow; between beads the time of the travel.
+    Within a bead, a mild square, and the time lost where the axis is too slow; between beads, the price of travel.
     """
     step, speed = steps.step[axis], steps.speed[axis]
     w = steps.longest[axis]
@@ -426,7 +437,7 @@ def _move_prices(axis, begins, time, steps, size, turns, out) -> int:
 
 @njit
 def _sweep(cells, price, turns, steps, size, k0, k1, begun):
-    """Values of the cells of rungs k0 .. k1, one after the other (m, headings * 8), from those of rung k0."""
+    """Values (m, headings * branches) of the cells of rungs k0 .. k1, one after the other, from those of rung k0."""
     na, nb, headings = size
     branches = price.shape[2]
     width = headings * branches
@@ -529,7 +540,7 @@ def _mark(cells, first, last, mark, open_to) -> None:
 
 @inner_njit
 def _stepped(index: int, d: int, n: int, turns: bool) -> int:
-    """Index of n so many steps on, round the circle if it turns; -1 beyond the ends."""
+    """Index (of n) that is d steps further on, around the circle if it turns; -1 beyond the ends."""
     if turns:
         return (index + d) % n
     return index + d if 0 <= index + d < n else -1
@@ -537,7 +548,7 @@ def _stepped(index: int, d: int, n: int, turns: bool) -> int:
 
 @inner_njit
 def _leads(open_to, a0, b0, d0, d1, turns) -> bool:
-    """Whether tilt can move from (a0, b0) by d0 steps and then rotation by d1, past marked lattice points alone."""
+    """Whether tilt can move from (a0, b0) by d0 steps and then rotation by d1, past marked lattice points only."""
     na, nb = open_to.shape
     a1, past = _stepped(a0, d0, na, turns[0]), True
     for d in range(1, abs(d0)):
@@ -567,7 +578,7 @@ def _change_branch(row, branches) -> None:
 
 @njit
 def _trace(cells, price, turns, steps, size, k0, k1, values, at, picked):
-    """Fill picked (r, 2) of rungs k1 down to k0 from the value `at` (cell and column) of rung k1; returns that of rung k0."""
+    """Fill picked (r, 2) back from rung k1 to k0, from the value `at` (cell and column) of k1; returns that of k0."""
     headings, branches = size[2], price.shape[2]
     width = headings * branches
     base = cells.first[k0]
@@ -612,5 +623,5 @@ def _trace(cells, price, turns, steps, size, k0, k1, values, at, picked):
 
 @inner_njit
 def _short(d: int, n: int) -> int:
-    """A way round a circle of n steps, the short way."""
+    """A move of d steps around a circle of n, the short way."""
     return (d + n // 2) % n - n // 2

@@ -1,8 +1,8 @@
 """The terms of a path's price, one object each: the price of a path is their sum, in seconds.
 
-Sums run over samples; `step` is the time that a sample stands for at the commanded speed [s]. Prices and where they begin:
-`prices`. A weight is a factor on the price that stands there. Bounds (ends of ranges, least singular value, cones,
-clearance) have none: what goes beyond them costs more than all else, and a path that does so is not taken in the end.
+Sums run over samples; `step` is the time that a sample stands for at the commanded speed [s]. The prices, and where
+they begin, are in `prices`; a weight is a factor on such a price. Bounds (ends of ranges, least singular value, cones,
+clearance) have no weight: exceeding one costs more than all else, and a path that does so is rejected in the end.
 """
 
 from __future__ import annotations
@@ -97,8 +97,8 @@ class TimeLost(Term):
 
 @dataclass(frozen=True)
 class Effort(Term):
-    """sum step * mean over joints of EFFORT r^2 / (1 + r^2), for the shares r that speed, acceleration and jerk have of
-    their limits: of two choices the calmer one wins, at full speed too.
+    """sum step * mean over joints of EFFORT r^2 / (1 + r^2), for speed, acceleration and jerk as shares r of their
+    limits: of two choices the calmer one wins, even at full speed.
 
     In a window without a dip there is also PEAK_PRICE (speed / peak)^8: where no time can be won, peaks are lowered.
     """
@@ -119,8 +119,8 @@ class Effort(Term):
 class JointLimits(Term):
     """sum step * LIMIT_PRICE max(0, 1 - room / LIMIT_COMFORT)^2 over the arm's joints; room [rad] to the nearer end.
 
-    Beyond the end HARD_PRICE a radian. Chosen joints have hard bounds alone, on their control values: a B-spline stays in
-    the hull of these.
+    Beyond the end, HARD_PRICE per radian. Chosen joints have hard bounds only, on their control values: a B-spline
+    stays within the hull of these.
     """
 
     weight: float = 1.0
@@ -181,7 +181,7 @@ class JointLimits(Term):
 class Singularity(Term):
     """sum step * SIGMA_PRICE max(0, SIGMA_COMFORT / sigma - 1)^2; sigma: least singular value of the arm's Jacobian.
 
-    Below the least one that is allowed, where material is laid down, HARD_PRICE for each 1 that it lacks.
+    Where material is laid down, also HARD_PRICE per unit below the least one allowed.
     """
 
     weight: float = 1.0
@@ -244,7 +244,7 @@ class ConeBounds(Term):
 
 @dataclass(frozen=True)
 class BodyClearance(Term):
-    """sum step * HARD_PRICE CLEARANCE_UNIT max(0, ROOM - margin) [m] of the nearest bodies: a bound, without a weight."""
+    """sum step * HARD_PRICE CLEARANCE_UNIT max(0, ROOM - margin) [m] of near bodies: a bound, without a weight."""
 
     name = "clearance"
 
@@ -280,7 +280,7 @@ class Tilt(Term):
 
 @dataclass(frozen=True)
 class TravelTerm(Term):
-    """ANCHOR times the square of what the ends of a bead move [rad] from where the search chose them for short travel."""
+    """ANCHOR times the squared distance [rad] of a bead's ends from where the search chose them for short travel."""
 
     weight: float = 1.0
     name = "travel"
@@ -304,14 +304,14 @@ def samples_of(stretch: PathSegment) -> SplineSamples:
 # ----------------------------------------------------------------------------------------------------
 # The terms of a price, and the model that has them.
 
-_RANGE_ROOM = 2e-3  # rad, m kept from the ends of joints' ranges, which have a price, and are looked at at samples
-# Shares of the joints' speed, acceleration and jerk that a path may ask for: differences of five samples see less of their
-# peaks than the curve through the samples has, which is what is timed.
+_RANGE_ROOM = 2e-3  # rad, m kept from the ends of joints' ranges, since these are only priced, and at samples only
+# Shares of the joints' speed, acceleration and jerk that a path may use: five-point differences miss some of the peaks
+# of the curve through the samples, and that curve is what is timed.
 RATE_SHARES = 0.99, 0.95, 0.7
 
 
 def terms_of(weights: WeightsSpec, own: Sequence[Term] = ()) -> tuple[Term, ...]:
-    """All terms with a problem's weights, then a user's own. Their rows stand in the program in this order."""
+    """All terms with a problem's weights, then a user's own. Their rows are in the program in this order."""
     return (
         TimeLost(weights.time_lost),
         Effort(weights.effort),
@@ -329,7 +329,7 @@ DEFAULT = terms_of(WeightsSpec())
 
 
 def model_of(cell: Cell, obstacles: Obstacles = NOTHING, terms: tuple[Term, ...] = DEFAULT) -> Model:
-    """The refinement's view of a cell, of what is in its way, and of what a path costs."""
+    """The refinement's view of a cell, of its obstacles, and of what a path costs."""
     na = len(cell.arm)
     holder, limits = cell.holder, cell.limits
     return Model(

@@ -1,1 +1,1 @@
-"""Robots as a command lists them, and one of one's own: its file from a published URDF, and a print to try it with."""
+"""List robots, and add one: its file from a published URDF, and a trial print."""

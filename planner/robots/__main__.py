@@ -1,4 +1,4 @@
-"""The robots that ship, or one of them or of the user's own in detail."""
+"""List the shipped robots, or describe one, shipped or the user's own, in full."""
 
 from planner.base.launch import end, launch
 

@@ -1,4 +1,4 @@
-"""A robot's file from its URDF, or from a model of Pinocchio: what `beadwise robots add` does, for Python too."""
+"""Make a robot's file from its URDF or from a Pinocchio model: what `beadwise robots add` does, also for Python."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from planner.robots.touching import NOTHING, Touching, touching
 if TYPE_CHECKING:
     import pinocchio
 
-_TRIED, _SAME = 500, 1e-6  # random postures, and rad by which one is the same
+_TRIED, _SAME = 500, 1e-6  # random postures; rad within which a posture is found again
 NO_ARGUMENTS: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
 class Added:
-    """A robot whose file was written: what was found of it, of its bodies, and the robot as it is read."""
+    """A robot whose file was written: what was found about it and about its bodies, and the robot as read back."""
 
     found: Survey
     touch: Touching
@@ -51,21 +51,27 @@ def add_robot(
 ) -> Path:
     """Make a robot's file from its URDF and return where it is, for `load(problem, {"cell.arm": ...})`.
 
-    urdf      a URDF, or a xacro file; or a model of Pinocchio, whose URDF is written beside the robot's file
-    file      the robot's file, my_robot.yaml; one that is there already is kept if it is of this URDF: what it assumes is the
-              user's to change. Named after the robot in the current folder, if not given
-    tip       link of the flange, if it is not found by itself
-    language  what its controller is programmed in
-    bodies    collision shapes of a model of Pinocchio; without them its links touch nothing
-    arguments of a xacro file, by name
+    Args:
+        urdf: A URDF or xacro file, or a Pinocchio model, whose URDF is written next to the robot's file.
+        file: The robot's file, such as my_robot.yaml; by default, it is named after the robot, in the current folder. A
+            file that exists already is kept if it belongs to this URDF: the user may have changed what it assumes.
+        tip: Link of the flange, if it is not found automatically.
+        language: What its controller is programmed in.
+        bodies: Collision shapes of a Pinocchio model; without them, its links collide with nothing.
+        arguments: Arguments of a xacro file, by name.
 
-    Raises InputError for a URDF that cannot be planned with, and OutputError where files cannot be written.
+    Returns:
+        Path of the robot's file.
+
+    Raises:
+        InputError: If the URDF cannot be planned with.
+        OutputError: If files cannot be written, or if the file exists and belongs to another robot.
     """
     target = None if file is None else as_path(file, "file")
     if tip is not None:
         as_one_of(tip, str, "tip", "the name of a link")
     if target is not None and target.suffix not in (".yaml", ".yml"):
-        raise InputError(f"{target} is no name of a robot's file", field="file", hint="for example my_robot.yaml")
+        raise InputError(f"{target} is not a name for a robot file", field="file", hint="for example my_robot.yaml")
     if language is not None and language not in LANGUAGE_NAMES:
         near = nearest_name(str(language), LANGUAGE_NAMES)
         hint = f"did you mean {near}?" if near else f"languages: {', '.join(LANGUAGE_NAMES)}"
@@ -85,7 +91,7 @@ def add_robot(
         source, fresh = written_urdf(urdf, bodies, target)
     if target is not None and target.exists():
         if read_robot_file(target).urdf().resolve() != _urdf_of(source, given).resolve():
-            raise OutputError(f"{target} is there already, and is of another robot: choose another name")
+            raise OutputError(f"{target} is there already, and describes another robot: choose another name")
         return target
     try:
         return added(source, target, tip, language, given)[0]
@@ -105,12 +111,12 @@ def added(
     arguments: Mapping[str, str] = NO_ARGUMENTS,
     tried: bool = False,
 ) -> tuple[Path, Added]:
-    """Write a robot's file from its URDF, named after the robot in this folder if no name is given; returns where.
+    """Write a robot's file from its URDF and return its path; by default, it is named after the robot, in this folder.
 
-    tried: whether a print that tries it will stand beside it, so that none may be there
+    tried: whether a trial print will be written next to it, so that none may exist yet
 
-    Raises InputError for a URDF that cannot be planned with, and OutputError where the file cannot be written; then
-    nothing is.
+    Raises InputError for a URDF that cannot be planned with, and OutputError if the file cannot be written; then
+    nothing is written.
     """
     _check_arguments(urdf, arguments)
     read, text = _read(urdf, arguments)
@@ -126,19 +132,19 @@ def added(
             raise OutputError(reason)
     source = urdf
     if text is not None:
-        # beside the xacro file, from where its meshes are found
+        # next to the xacro file, so that its meshes are found
         source = _urdf_of(urdf, arguments)
         if source.exists() and source.read_text(encoding="utf-8") != text:
             raise OutputError(
-                f"{source} is there already, and is not what xacro makes: remove it, or add it in its place"
+                f"{source} is there already, and differs from what xacro makes: remove it, or add that file instead"
             )
     made, whole = text is not None and not source.exists(), None
-    # Other jobs that add the same robot take a file that is there for the robot's: what is half done is not there.
+    # Other jobs that add the same robot trust a file that exists: until it is complete, it has another name.
     draft = file.with_name(f".{os.getpid()}_{file.name}")
     try:
         if text is not None:
             source.write_text(text, encoding="utf-8")
-        # plainly first: what its bodies are like is looked at as it is read
+        # at first without pieces or pairs that may touch: its bodies are examined once the robot is read
         draft.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
         robot = read_robot(draft)
         if tip is None and (end := frame_at_the_end(read, robot, found.outwards)) is not None:
@@ -162,32 +168,32 @@ def added(
 
 
 def _notes(urdf: Urdf, robot: Robot, found: Survey) -> list[str]:
-    """What is told of an arm's bodies and postures, in words."""
+    """Notes on an arm's bodies and postures, for the user."""
     notes, tools = [], mounted(urdf, robot)
     if (deep := depth(robot, found.outwards, tools)) > DEEP:
         notes.append(
-            f"{found.tip}'s body reaches {deep * 1e3:.0f} mm beyond its frame: nozzle.tip_mm counts from the frame"
+            f"{found.tip}'s body reaches {deep * 1e3:.0f} mm beyond its frame: nozzle.tip_mm is measured from the frame"
         )
     if tools:
         notes.append(
-            f"{', '.join(tools)} on the flange: counted as parts of the last link; a print head belongs into "
-            "cell.nozzle.head of problems, and is left out here by without"
+            f"{', '.join(tools)} on the flange: counted as parts of the last link; a print head belongs in "
+            "cell.nozzle.head of problems, and is left out here with `without`"
         )
     if below := beneath(urdf, robot):
         notes.append(
-            f"{', '.join(below)} beneath the arm: counted as its foot, on which nothing can be printed; a mesh is its hull, which is not "
-            "looked at where it holds the arm in every posture: give it as cell.fixtures of problems, and leave it out by without"
+            f"{', '.join(below)} beneath the arm: counted as its foot, on which nothing can be printed; a mesh counts as its hull, which is not "
+            "checked if it encloses the arm in every posture: give it as cell.fixtures of problems, and leave it out with `without`"
         )
     if found.roughly:
         notes.append(
-            "axes of its shoulder or wrist pass each other: postures are found from those of an arm where they meet, and "
+            "axes of its shoulder or wrist do not meet: postures are found from those of an arm where they meet, and "
             f"{_missed(robot):.0%} of random ones are missed"
         )
     return notes
 
 
 def _missed(robot: Robot) -> float:
-    """Share of random postures that the inverse kinematics does not find again from their poses."""
+    """Share of random postures that the inverse kinematics does not recover from their poses."""
     inverse, model = robot.inverse, robot.model
     if inverse is None or inverse.redundant_joint is None:
         return 0.0
@@ -199,15 +205,15 @@ def _missed(robot: Robot) -> float:
 
 
 def _check_arguments(path: Path, arguments: Mapping[str, str]) -> None:
-    """Raise InputError for arguments of any file but a xacro file, and for those that are no texts."""
+    """Raise InputError for arguments of any file but a xacro file, and for values that are not strings."""
     if arguments and path.suffix != ".xacro":
         raise InputError("only xacro files have arguments", file=path, field="arguments", hint="leave them out")
     for name, value in arguments.items():
-        as_one_of(value, str, f"arguments[{name!r}]", "a text, as xacro takes it")
+        as_one_of(value, str, f"arguments[{name!r}]", "text, as xacro expects it")
 
 
 def _urdf_of(path: Path, arguments: Mapping[str, str]) -> Path:
-    """The URDF that a xacro file makes: beside it, so that its meshes are found, and one for each choice of arguments."""
+    """Path of the URDF that a xacro file makes: next to it, so that meshes are found; one per choice of arguments."""
     if path.suffix != ".xacro":
         return path
     chosen = [key_of(value) for value in dict.fromkeys(arguments.values())]
@@ -215,7 +221,7 @@ def _urdf_of(path: Path, arguments: Mapping[str, str]) -> Path:
 
 
 def _read(path: Path, arguments: Mapping[str, str]) -> tuple[Urdf, str | None]:
-    """The URDF, and its text where xacro made it."""
+    """The URDF, and its text if xacro made it."""
     if path.suffix != ".xacro":
         return read_urdf(path), None
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""`python -m planner.robots`: list robots, tell all of one, or add one's own from a published URDF."""
+"""`python -m planner.robots`: list robots, describe one in full, or add one from a published URDF."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def add_command() -> Command:
         {
             "kr10r1420.urdf": "write kuka_kr10r1420.yaml here, named as the robot in the URDF, and try it",
             "gp25.xacro --out gp25.yaml": "from a xacro file, with the package xacrodoc",
-            "ur.urdf.xacro name:=ur5e ur_type:=ur5e": "from one that asks which arm it is to be",
+            "ur.urdf.xacro name:=ur5e ur_type:=ur5e": "from one that must be told which arm to make",
             "two_arms.urdf --tip left_tool0 --no-print": "one of two arms; no print is planned",
         },
         {
-            0: "written, and the print is verified, or was not asked for",
+            0: "written; the print is verified, or was not requested",
             2: "wrong input, or an arm that cannot be planned with; nothing written",
-            3: "written, but no print was verified; the reason is told",
+            3: "written, but no print was verified; the reason is printed",
         },
     )
     parser.add_argument(
@@ -48,7 +48,7 @@ def add_command() -> Command:
         help="arguments of a xacro file, as xacro takes them",
     )
     parser.add_argument("--out", type=yaml_file, metavar="FILE", help="the file to write, my_robot.yaml")
-    parser.add_argument("--tip", metavar="LINK", help="the link that is the flange, if it is not found by itself")
+    parser.add_argument("--tip", metavar="LINK", help="the link that is the flange, if it is not found automatically")
     parser.add_argument(
         "--language", type=one_of(LANGUAGE_NAMES), metavar="NAME", help="what its controller is programmed in"
     )
@@ -59,7 +59,7 @@ def add_command() -> Command:
 def _argument(text: str) -> tuple[str, str]:
     name, given, value = text.partition(":=")
     if not name or not given:
-        raise argparse.ArgumentTypeError(f"{text!r} is no argument of a xacro file: write name:=value")
+        raise argparse.ArgumentTypeError(f"{text!r} is not an argument of a xacro file: write name:=value")
     return name, value
 
 

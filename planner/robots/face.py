@@ -1,7 +1,7 @@
-"""Whether a flange's frame stands at the end of the link that it belongs to.
+"""Check whether a flange's frame lies at the end of its link.
 
-Some URDFs begin their last link where the axes of the wrist meet, 50 to 200 mm inside it. A nozzle that is measured from the
-flange would be as much too long; so another frame at the end is taken instead, or it is said how deep the frame lies.
+Some URDFs start their last link where the wrist axes meet, 50 to 200 mm inside it. A nozzle measured from that flange
+would be too long by as much; so another frame, at the end, is used instead, or a note says how deep the frame lies.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from planner.cell.solids import Hull, triangles_of
 from planner.cell.urdf import Urdf, hanging_on, joints_to, link_frame, moved_by
 from planner.robots.survey import is_flange
 
-DEEP = 10e-3  # m: a frame no deeper is at the end, whatever stands out of it, a pin or a screw
-NEAR = 5e-3  # m from the end, of a frame that is there
-ASIDE = 1e-3  # m from the last axis
+DEEP = 10e-3  # m: a frame no deeper than this is at the end; only a pin or a screw stands out
+NEAR = 5e-3  # m: a frame within this distance of the end is at the end
+ASIDE = 1e-3  # m: a frame within this distance of the last axis is on it
 
 
 def depth(robot: Robot, outwards: Array, without: Collection[str] = ()) -> float:
-    """How far the bodies of the last joint reach beyond the flange's frame [m], on the last axis; 0 if they do not.
+    """How far the last joint's bodies extend beyond the flange's frame along the last axis [m]; 0 if they do not.
 
-    outwards: where the axis leaves the flange (3), in the flange's frame; without: links whose bodies do not count
+    outwards: direction (3) in which that axis leaves the flange, in its frame; without: links whose bodies do not count
     """
     T_flange_last = np.linalg.inv(base_to_tip(robot.model, robot.tip).T_last_tip)
     deepest = 0.0
@@ -38,7 +38,7 @@ def depth(robot: Robot, outwards: Array, without: Collection[str] = ()) -> float
 
 
 def _leaves(planes: Array, along: Array) -> float:
-    """How far from the origin a line leaves a convex body [m]; 0 where it misses it."""
+    """How far from the origin a line leaves a convex body [m]; 0 if the line misses the body."""
     height, rate = planes[:, 3], planes[:, :3] @ along
     out, into, level = rate > 1e-12, rate < -1e-12, np.abs(rate) <= 1e-12
     if (height[level] > 0.0).any() or not out.any():
@@ -49,7 +49,7 @@ def _leaves(planes: Array, along: Array) -> float:
 
 
 def mounted(urdf: Urdf, robot: Robot) -> list[str]:
-    """Links with bodies that hang on a link named as a flange: what somebody has mounted there."""
+    """Links with bodies that hang on a link named as a flange: tools that are mounted there."""
     if not is_flange(robot.tip):
         return []
     behind = hanging_on(urdf, [robot.tip]) - {robot.tip}
@@ -57,14 +57,14 @@ def mounted(urdf: Urdf, robot: Robot) -> list[str]:
 
 
 def beneath(urdf: Urdf, robot: Robot) -> list[str]:
-    """Links with bodies on which the arm's own base stands, or beside which it does: a room, a table, a gantry."""
+    """Links with bodies beneath or next to the arm's own base: a room, a table, a gantry."""
     own = hanging_on(urdf, [robot.stand])
     return [link for link in dict.fromkeys(body.link for body in robot.bodies[0]) if link not in own]
 
 
 def frame_at_the_end(urdf: Urdf, robot: Robot, outwards: Array) -> str | None:
-    """An empty link, fixed to the flange's on the last axis, where its bodies end; None if the flange's frame is there, or
-    no such link is. One whose z leaves the arm comes first."""
+    """An empty link, fixed to the flange's, on the last axis where the flange's bodies end; None if the flange's frame
+    is there already, or if there is no such link. One whose z points away from the arm is preferred."""
     deep = depth(robot, outwards, mounted(urdf, robot))
     if deep <= DEEP:
         return None

@@ -1,4 +1,4 @@
-"""The files of a robot that is added: what a URDF cannot hold, and a print to try it with."""
+"""The files of an added robot: what a URDF cannot hold, and a trial print."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROBOT_SCHEMA = PROBLEM_SCHEMA.with_name("robot.schema.json")
 
 
 def trial_files(file: Path) -> tuple[Path, Path]:
-    """Waypoints and problem of the print that tries a robot, beside the robot's file."""
+    """Paths of the trial print's waypoints and problem file, next to the robot's file."""
     name = identifier_like(file.stem, "_print")
     return file.with_name(f"{name}.txt"), file.with_name(f"{name}.yaml")
 
@@ -50,7 +50,7 @@ def robot_text(found: Survey, touch: Touching, urdf: Path, file: Path, language:
     if touch.may_touch:
         lines.append(f"may_touch: [{', '.join(f'[{yaml_text(a)}, {yaml_text(b)}]' for a, b in touch.may_touch)}]")
     lines += [
-        "# ASSUMED: put your own in its place; what is assumed bears a star in listings and is told in reports.",
+        "# ASSUMED: replace these with your own; assumed values bear a star in listings and are named in reports.",
         f"assumed: [{', '.join(found.assumed)}]",
         f"acceleration_rad_s2: {_list(found.acceleration)}",
         f"jerk_rad_s3: {_list(found.jerk)}",
@@ -63,13 +63,13 @@ def _list(values: Sequence[float] | Array) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A print to try an arm with: a spiral on a cap.
+# The trial print: a spiral on a cap.
 
-TIP_MM = 100.0  # of the nozzle before the flange; it is bent by BEND, or straight, as that of the problem peer_cap is
-BENDS = (np.radians(45.0), 0.0)
-CAP_MM = 60.0  # radius of the cap, of an arm that reaches REACH
-REACH = 0.6  # m, below which the cap is smaller
-LEAST_MM = 20.0  # radius of the least cap
+TIP_MM = 100.0  # from the flange to the nozzle tip
+BENDS = (np.radians(45.0), 0.0)  # rad from the last axis to the nozzle's, to try: as in the problem peer_cap; straight
+CAP_MM = 60.0  # radius of the cap for an arm that reaches REACH or farther
+REACH = 0.6  # m: with less, the cap is smaller
+LEAST_MM = 20.0  # radius of the smallest cap
 POLAR = 0.5  # rad from its top to its rim
 PITCH_MM, STEP_MM = 3.0, 1.0
 BED_MM = 20.0
@@ -86,13 +86,13 @@ class Cap:
 
 
 def cap_for(reach: float) -> Cap:
-    """A spiral on a cap as large as suits an arm's reach [m]."""
+    """A spiral on a cap sized for an arm's reach [m]."""
     radius_mm = float(np.clip(np.round(CAP_MM * reach / REACH), LEAST_MM, CAP_MM))
     return Cap(radius_mm * 1e-3, POLAR, spiral(radius_mm))
 
 
 def spiral(radius_mm: float) -> str:
-    """Waypoints of a spiral from the top of a cap to its rim, as those of a Cap."""
+    """Waypoints of a spiral from the top of a cap to its rim, in the form of `Cap.waypoints`."""
     turns = POLAR * radius_mm / PITCH_MM
     fine = np.linspace(0.0, 2.0 * np.pi * turns, 20000)
     arc = arc_lengths(_cap(fine, turns) * radius_mm)
@@ -110,15 +110,15 @@ def _cap(azimuth: Array, turns: float) -> Array:
 
 @dataclass(frozen=True)
 class TrialNozzle:
-    """Where the nozzle's tip is in the flange frame [m], and where it points there."""
+    """The nozzle's tip [m] and its direction, both in the flange frame."""
 
     tip: Array
     axis: Array
 
 
 def nozzle_of(outwards: Array, bend: float, deep: float = 0.0) -> TrialNozzle:
-    """The nozzle before a flange that the last axis leaves along `outwards`, bent by an angle [rad]; deep: how far the
-    flange's frame lies inside its link [m]."""
+    """A nozzle bent by an angle [rad] from `outwards`, the direction in which the last axis leaves the flange; deep:
+    how far the flange's frame lies inside its link [m]."""
     aside = np.eye(3)[int(np.argmin(np.abs(outwards)))]
     aside = aside - (aside @ outwards) * outwards
     axis = np.cos(bend) * outwards + np.sin(bend) * aside / np.linalg.norm(aside)
@@ -128,7 +128,7 @@ def nozzle_of(outwards: Array, bend: float, deep: float = 0.0) -> TrialNozzle:
 def print_text(
     name: str, robot: Path, waypoints: str, nozzle: TrialNozzle, place: Array, home_deg: Sequence[float]
 ) -> str:
-    """The text of the problem file of that print; place [m] of the cap's centre."""
+    """The text of the trial print's problem file; place: the cap's centre [m]."""
     tip, axis = (_list(np.round(values, 6) + 0.0) for values in (1e3 * nozzle.tip, nozzle.axis))
     at, bed = np.round(place * 1e3, 3) + 0.0, np.round(place * 1e3 - [0.0, 0.0, 0.5 * BED_MM + 10.0], 3) + 0.0
     return f"""\

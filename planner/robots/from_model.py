@@ -1,4 +1,4 @@
-"""The URDF of a model of Pinocchio: its joints, links and limits, and the shapes that are given with it."""
+"""The URDF of a Pinocchio model: its joints, links and limits, and the shapes given with it."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError, OutputError
 from planner.robots.survey import key_of
 
-_STRAIGHT = 1e-9  # of a joint's motion: it turns about its own origin, or slides
-_SAME = 1e-12  # of a placement: none
-_ENDLESS = 1e6  # rad, m: limits beyond are none
+_STRAIGHT = 1e-9  # tolerance on a joint's motion: it only turns, about its own origin, or only slides
+_SAME = 1e-12  # tolerance at which a placement is the identity
+_ENDLESS = 1e6  # rad, m: limits beyond this count as none
 
 
 def written_urdf(model: Any, bodies: Any, robot_file: Path | None) -> tuple[Path, bool]:
-    """Write a model's URDF beside a robot's file, or into the current folder; returns where, and whether it was not there.
+    """Write a model's URDF next to a robot's file, or into the current folder; return its path, and whether it is new.
 
-    Raises InputError for what is no model that a URDF can describe, OutputError where it cannot be written.
+    Raises InputError for anything but a model that a URDF can describe, OutputError if it cannot be written.
     """
     if not isinstance(model, pin.Model):
         hint = "a path, or what pinocchio.buildModelFromUrdf gives"
@@ -36,7 +36,7 @@ def written_urdf(model: Any, bodies: Any, robot_file: Path | None) -> tuple[Path
         there = target.exists()
         if there:
             if target.read_text(encoding="utf-8") != text:
-                raise OutputError(f"{target} is there already, and is not of this model: choose another name")
+                raise OutputError(f"{target} is there already, and does not describe this model: choose another name")
         else:
             target.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -69,7 +69,7 @@ def urdf_of(model: pin.Model, bodies: pin.GeometryModel | None) -> str:
 
 
 def _link_names(model: pin.Model) -> dict[int, str]:
-    """A link for each joint, 0 the base: the frame of a body that stands in the joint's own, or one of the joint's name."""
+    """Link names by joint (0: the base): that of a body frame that coincides with the joint's, or one from its name."""
     names: dict[int, str] = {}
     for frame in model.frames:
         j = int(frame.parentJoint)
@@ -97,7 +97,7 @@ def _is_none(placement: pin.SE3) -> bool:
 def _joint(robot: ET.Element, model: pin.Model, j: int, motion: Array, links: dict[int, str]) -> None:
     name, q, v = model.names[j], model.idx_qs[j], model.idx_vs[j]
     if model.nvs[j] != 1:
-        reason = f"joint {name} moves in {model.nvs[j]} ways"
+        reason = f"joint {name} has {model.nvs[j]} degrees of freedom"
         raise InputError(reason, field="urdf", hint="joints of an arm turn about one axis, or slide along one")
     along, about = motion[:3, v], motion[3:, v]
     turns = np.linalg.norm(about) > 0.5
@@ -127,7 +127,7 @@ def _origin(element: ET.Element, placement: pin.SE3) -> None:
 
 
 def _collision(link: ET.Element, shape: Any, index: int) -> None:
-    """A shape in its link, which stands in its joint's frame."""
+    """Add a shape to its link, whose frame is that of its joint."""
     geometry, kind = shape.geometry, type(shape.geometry).__name__
     collision = ET.SubElement(link, "collision", name=shape.name)
     _origin(collision, shape.placement)
@@ -148,7 +148,7 @@ def _collision(link: ET.Element, shape: Any, index: int) -> None:
 
 
 def _number(value: float) -> str:
-    """A limit; 0, which stands for none, where there is no end."""
+    """A limit as text; 0, which means none, if it is endless."""
     return repr(float(value)) if np.isfinite(value) and abs(value) < _ENDLESS else "0"
 
 

@@ -1,4 +1,4 @@
-"""The robots that ship, or one of them or of the user's own, in detail: reach, limits, bodies, and what is assumed.
+"""List the shipped robots, or describe one, shipped or the user's own: reach, limits, bodies, and what is assumed.
 
 python -m planner.robots [NAME or my_robot.yaml]
 """
@@ -28,15 +28,15 @@ from planner.cell.robot import Robot, chain_of, names_meant, read_robot, robot_n
 from planner.cell.robot_file import read_robot_file
 from planner.cell.solids import Box, Capsule, Frustum, Solid
 
-_TRIED = 500  # random postures, of which the farthest few are bettered until they are as far as can be
-_BETTERED = 3
+_TRIED = 500  # random postures; an optimiser starts from the farthest few
+_BETTERED = 3  # how many
 _TURN = 2.0 * np.pi
 
 
 def reach(robot: Robot) -> float | None:
-    """The farthest that an arm's wrist comes from axis 1, joints within their ranges [m]; None if it is no arm.
+    """The greatest distance of an arm's wrist from axis 1 within the joint limits [m]; None if the robot is not an arm.
 
-    The wrist is where the last three axes meet, which makers mean, and the flange's centre where they do not.
+    The wrist is where the last three axes meet, as makers define reach, or the flange's centre if they do not.
     """
     inverse = robot.inverse
     if inverse is None:
@@ -58,7 +58,7 @@ def reach(robot: Robot) -> float | None:
 
 
 def _wrist(inverse: InverseKinematics) -> Array | None:
-    """Where the last three axes meet, in the flange's frame (4, 4); None where they do not."""
+    """The point where the last three axes meet, as a frame (4, 4) in the flange's; None if they do not meet."""
     if isinstance(inverse, Corrected):
         return None if isinstance(inverse.nominal, SevenAxes) else _wrist(inverse.nominal)
     back = np.eye(4)
@@ -72,7 +72,7 @@ def _wrist(inverse: InverseKinematics) -> Array | None:
 
 
 def kind(inverse: InverseKinematics | None, joints: Sequence[str]) -> str:
-    """What kind of inverse kinematics a robot has, in words."""
+    """A robot's kind of inverse kinematics, in words."""
     if inverse is None:
         return "no arm: it holds the part, or carries an arm"
     if isinstance(inverse, Corrected):
@@ -90,7 +90,7 @@ def kind(inverse: InverseKinematics | None, joints: Sequence[str]) -> str:
 
 
 def overview(robots: Sequence[tuple[Path, Robot]]) -> Table:
-    """A table of robots: what each is, its limits, and where they come from."""
+    """A table of robots: what each is, its limits, and where its URDF comes from."""
     table = Table(title="* assumed", title_justify="left", show_lines=True)
     table.add_column("robot")
     table.add_column("joints, base first")
@@ -100,7 +100,7 @@ def overview(robots: Sequence[tuple[Path, Robot]]) -> Table:
 
 
 def details(path: Path, robot: Robot) -> list[Table | str]:
-    """All that is known of one robot: facts, a table of its joints, and one of its bodies."""
+    """All that is known about one robot: facts, a table of its joints, and one of its bodies."""
     joints = Table(title="joints", title_justify="left")
     marks = _marks(robot)
     heads = ("range, deg", "speed, deg/s", "acceleration, rad/s²", "jerk, rad/s³")
@@ -115,7 +115,7 @@ def details(path: Path, robot: Robot) -> list[Table | str]:
     for i, name in enumerate(robot.joint_names):
         range_ = _range(model.lowerPositionLimit[i], model.upperPositionLimit[i], robot.slides[i])
         joints.add_row(name, range_, _speed(robot, i), f"{robot.acceleration[i]:g}", f"{robot.jerk[i]:g}")
-    bodies = Table(title="bodies that collisions are looked for with", title_justify="left")
+    bodies = Table(title="bodies for collision checks", title_justify="left")
     bodies.add_column("carried by")
     bodies.add_column("body")
     bodies.add_column("shape")
@@ -156,7 +156,7 @@ def _limits(robot: Robot) -> list[str]:
 
 
 def _marks(robot: Robot) -> list[str]:
-    """A star for each of range, speed, acceleration and jerk of which something is assumed."""
+    """A star for each of range, speed, acceleration and jerk if part of it is assumed."""
     return ["*" if any(word in told for told in robot.assumed) else "" for word in ("range", "speed", "accel", "jerk")]
 
 
@@ -209,14 +209,14 @@ def robots_command() -> Command:
     """The parser of `python -m planner.robots`."""
     parser = Command(
         "robots",
-        "List the robots that ship, or tell all of one robot.",
+        "List the robots that ship, or describe one of them in full.",
         {
             "": "all that ship: joints, reach, limits",
             "irb1600_145": "one of them: every joint's limits, every body, what is assumed",
             "my_robot.yaml": "whether a robot's file of your own is read as you mean it",
             "add --help": "how such a file is made from a published URDF",
         },
-        {0: "told", 2: "wrong input"},
+        {0: "printed", 2: "wrong input"},
     )
     parser.add_argument(
         "robot", nargs="?", metavar="NAME", help="a robot that ships, or a robot's own file, my_robot.yaml"

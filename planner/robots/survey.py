@@ -1,4 +1,4 @@
-"""What a URDF says of an arm: its flange, its kind, its limits; and what has to be assumed since it does not."""
+"""What a URDF says about an arm: its flange, kind and limits; and what has to be assumed where it says nothing."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ from planner.cell.kinematics.skew_wrist import read_skew_wrist
 from planner.cell.robot import base_to_tip
 from planner.cell.urdf import Urdf, joints_to, model_of, moved_by, moving_joints
 
-AXES = (6, 7)  # of arms that can be planned with
+AXES = (6, 7)  # numbers of joints of arms that can be planned with
 FLANGES = (  # names of flange links, best first
     *("tool0", "flange", "ee_link", "tcp", "tool", "link_t", "link_ee", "end_effector_link", "end_effector"),
 )
-ASSUMED_SPEED = 1.5  # rad/s of a joint whose URDF tells none: slower than most
-ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
-ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
+ASSUMED_SPEED = 1.5  # rad/s for a joint without a speed in the URDF: slower than most
+ASSUMED_TURN = 360.0  # deg to either side, for a joint without end stops
+ALONG = 0.99  # cosine between a frame's z and the last axis, above which z points out of the flange
 _MOST_APART = 20.0 * 2.0 * np.pi  # rad between the ends of a joint: ten turns to either side, as in problem files
-RISE = 0.25  # s in which a joint is assumed to reach its speed
-JERK = 50.0  # 1/s: assumed jerk by acceleration, as of the arms that ship
-_CARRIED = "what carries an arm has a URDF and a file of its own, cell.base.robot of problems: give the arm alone"
-_TOLD = 6  # arguments of a xacro file, in a hint
+RISE = 0.25  # s: assumed time in which a joint reaches its speed
+JERK = 50.0  # 1/s: assumed ratio of jerk to acceleration, as in the arms that ship
+_CARRIED = "what carries an arm needs a URDF and a file of its own, cell.base.robot of problems: give the arm alone"
+_TOLD = 6  # arguments of a xacro file that a hint lists, at most
 _ARGUMENT = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)[^>]*")
 _INCLUDE = re.compile(r"<xacro:include\s[^>]*?\bfilename\s*=\s*[\"']([^\"']+)")
-_USERS = 3  # files that a hint names
-_LOOKED_AT = 500  # xacro files, for who includes one
+_USERS = 3  # files that a hint names, at most
+_LOOKED_AT = 500  # xacro files searched for those that include one, at most
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found of an arm in a URDF, and what was assumed.
+    """What was found about an arm in its URDF, and what was assumed.
 
-    tip      link of the flange; outwards (3): which way axis 6 or 7 leaves it, in the tip's frame
-    kind     of its inverse kinematics, and the redundant joint of seven; roughly: its axes pass each other by more than a few
-             millimetres, so that postures are missed
+    tip      link of the flange; outwards (3): direction in which axis 6 or 7 leaves it, in the tip's frame
+    kind     of inverse kinematics, with the redundant joint of seven; roughly: axes that should meet pass each other by
+             more than a few millimetres, so that postures are missed
     joints   names, base first; ranges [deg] of those that the URDF leaves open; speeds [rad/s], None: the URDF's own
     notes    what was found and assumed, in words
     """
@@ -69,8 +69,8 @@ class Survey:
 
 
 def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
-    """Read an arm off a URDF; named: whoever asks has named the tip, if there is one. Raises InputError where no arm is found,
-    or none that can be planned with."""
+    """Read an arm off a URDF; named: whether the tip, if given, is the caller's choice. Raises InputError if it finds
+    no arm, or none that can be planned with."""
     named = named and tip is not None
     ways = _arms(urdf)
     if tip is None:
@@ -81,7 +81,7 @@ def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
     joints = moving_joints(urdf, tip)
     for joint in joints:
         if joint.get("type") == "prismatic":
-            raise urdf.error(joint, f"joint {joint.get('name')}", "slides, and those of an arm turn", _CARRIED)
+            raise urdf.error(joint, f"joint {joint.get('name')}", "slides, but those of an arm turn", _CARRIED)
     ranges, slow = _left_open(joints)
     model = model_of(urdf, tip, dict.fromkeys(ranges, (-np.pi, np.pi)), bool(slow))
     chain = base_to_tip(model, tip)
@@ -97,12 +97,12 @@ def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
             if outwards[2] > ALONG
             else f"the last axis leaves it along {np.round(outwards, 3) + 0.0}: nozzle.axis of a problem is that, not [0, 0, 1]"
         ),
-        f"base: link {next(iter(_bases(urdf)))}, the frame that problems count from",
+        f"base: link {next(iter(_bases(urdf)))}, the frame that problems refer to",
     ]
     if ranges:
-        notes.append(f"assumed: {', '.join(ranges)} without ends turn {ASSUMED_TURN:g} degrees either way")
+        notes.append(f"assumed: {', '.join(ranges)} without limits turn {ASSUMED_TURN:g} degrees either way")
     if slow:
-        notes.append(f"assumed: {', '.join(slow)}, of which the URDF tells no speed, {ASSUMED_SPEED} rad/s")
+        notes.append(f"assumed: {', '.join(slow)}, for which the URDF gives no speed, {ASSUMED_SPEED} rad/s")
     notes.append(
         f"assumed: joints reach their speed in {RISE} s, with a jerk of {JERK:g} times that acceleration a second"
     )
@@ -135,7 +135,7 @@ def _bases(urdf: Urdf) -> list[str]:
 
 
 def _arms(urdf: Urdf) -> dict[str, int]:
-    """How many joints lead to each link of which all turn, each by its own motor."""
+    """Number of joints that lead to each link, for links whose joints all turn, each by its own motor."""
     found = {}
     for link in urdf.links():
         moving = moving_joints(urdf, link)
@@ -145,7 +145,7 @@ def _arms(urdf: Urdf) -> dict[str, int]:
 
 
 def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
-    """The link that is the flange: behind six or seven joints, one with a flange's name before others."""
+    """The link that is the flange: behind six or seven joints, preferably one with a flange's name."""
     arms = [link for link, count in ways.items() if count in AXES]
     most = max(ways.values(), default=0)
     if not arms:
@@ -160,25 +160,25 @@ def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
         most_axes = max(ways[link] for link in named)
         named = [link for link in named if ways[link] == most_axes]
         if len({moved_by(urdf, link) for link in named}) > 1:
-            raise InputError(f"several arms: {', '.join(named)}", file=urdf.path, hint="--tip says which one")
-        # of the frames of one flange, one whose z points out of it, which other frames of the same name may not
+            raise InputError(f"several arms: {', '.join(named)}", file=urdf.path, hint="choose one with --tip")
+        # of several frames of one flange, prefer one whose z points out of it: others may be turned
         return min(named, key=lambda link: (_outwards(_chain(urdf, link))[2] < ALONG, _rank(link), len(link)))
     if most > max(AXES):
         raise InputError(
             f"{most} joints in a row, and no link is named as a flange",
             file=urdf.path,
-            hint=f"--tip says which of {', '.join(arms)}",
+            hint=f"choose one with --tip: {', '.join(arms)}",
         )
     count = max(ways[link] for link in arms)
     last = [link for link in arms if ways[link] == count]
     carried = [link for link in last if joints_to(urdf, link)[-1].get("type") != "fixed"]
     if len(carried) > 1:
-        raise InputError(f"several arms end in {', '.join(carried)}", file=urdf.path, hint="--tip says which one")
+        raise InputError(f"several arms end in {', '.join(carried)}", file=urdf.path, hint="choose one with --tip")
     return carried[0]
 
 
 def _is_carried(urdf: Urdf) -> bool:
-    """Whether as many joints turn as an arm has, in a row with one that slides."""
+    """Whether a link hangs on as many turning joints as an arm has, and on a sliding one as well."""
     ways = ([joint.get("type") for joint in moving_joints(urdf, link)] for link in urdf.links())
     return any("prismatic" in way and sum(kind != "prismatic" for kind in way) in AXES for way in ways)
 
@@ -194,13 +194,13 @@ def _rank(link: str) -> int:
 
 
 def _chain(urdf: Urdf, link: str) -> Chain:
-    """The joints to a link, whatever they leave open."""
+    """The chain to a link, whatever its joints' limits leave open."""
     open_, _ = _left_open(moving_joints(urdf, link))
     return base_to_tip(model_of(urdf, link, dict.fromkeys(open_, (-np.pi, np.pi)), True), link)
 
 
 def _left_open(joints: Sequence[ET.Element]) -> tuple[list[str], list[str]]:
-    """Names of joints without ends, and of those without speed."""
+    """Names of the joints without end stops, and of those without a speed."""
     open_, slow = [], []
     for joint in joints:
         limit, name = joint.find("limit"), joint.get("name", "")
@@ -212,11 +212,11 @@ def _left_open(joints: Sequence[ET.Element]) -> tuple[list[str], list[str]]:
 
 
 def _has_ends(limit: ET.Element) -> bool:
-    """Whether a limit says where a joint ends: not at one place, as CAD exports them, nor farther away than any cable allows."""
+    """Whether a limit gives a usable range: not empty, as in CAD exports, nor wider than any cable allows."""
     try:
         apart = abs(float(limit.get("upper", "nan")) - float(limit.get("lower", "nan")))
     except ValueError:
-        return True  # what stands there is told where it is read
+        return True  # a bad number is reported where it is read
     return 0.0 < apart <= _MOST_APART
 
 
@@ -228,8 +228,8 @@ def _positive(text: str | None) -> bool:
 
 
 def _kind(urdf: Urdf, chain: Chain, named: bool) -> tuple[str, str | None, bool]:
-    """The inverse kinematics that an arm has, its redundant joint, and whether it is only roughly of that kind; InputError, with
-    what each lacks, for any other. named: whoever asks has named the flange."""
+    """An arm's kind of inverse kinematics, its redundant joint, and whether it is only roughly of that kind; for any
+    other arm, InputError with what it lacks for each kind. named: whether the flange is the caller's choice."""
     lacking = []
     if len(chain) == 7:
         for near, joint in product((NEAR, FAR), (2, 6)):
@@ -252,8 +252,8 @@ def _kind(urdf: Urdf, chain: Chain, named: bool) -> tuple[str, str | None, bool]
             except OtherGeometry as error:
                 lacking.append(f"{name}: {error}")
     if len(chain) == max(AXES) and not named:
-        lacking.insert(0, f"--tip names the flange, if {chain.names[-1]} is not the arm's but a gripper's")
-    raise InputError("this arm has no inverse kinematics that is known here", file=urdf.path, hint="; ".join(lacking))
+        lacking.insert(0, f"give the flange with --tip, if {chain.names[-1]} belongs to a gripper, not to the arm")
+    raise InputError("no inverse kinematics known here fits this arm", file=urdf.path, hint="; ".join(lacking))
 
 
 def _outwards(chain: Chain) -> Array:
@@ -272,13 +272,13 @@ def _round(value: float) -> float:
 
 
 def key_of(name: str) -> str:
-    """A file's name from that of a robot."""
+    """A file name made from a robot's name."""
     return re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_").lower() or "my_robot"
 
 
 def expanded(path: Path, arguments: Mapping[str, str]) -> str:
-    """The URDF text that a xacro file makes with values of its arguments, packages looked for around it. Raises ImportError
-    without xacrodoc, InputError for what xacro does not take and for arguments that the file does not have."""
+    """The URDF text that xacro makes from a file and its arguments; packages are searched for around the file. Raises
+    ImportError without xacrodoc, InputError for what xacro rejects and for arguments that the file does not have."""
     import xacro  # with xacrodoc, an extra
     from xacrodoc import XacroDoc, packages
 
@@ -297,9 +297,9 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> str:
         known = _arguments_in([path]) if path.is_file() else []
         if known and (not arguments or "Undefined substitution argument" in words):
             some = ", ".join([*known[:_TOLD], *("…" for _ in known[_TOLD : _TOLD + 1])])
-            words += f"; the file has {some}: give them behind it, as in {known[0]}:=…"
-        raise InputError("xacro does not take it", file=path, hint=words) from None
-    known = _arguments_in([path, *map(Path, xacro.all_includes[before:])])  # xacro passes others over
+            words += f"; the file has {some}: give them after it, as in {known[0]}:=…"
+        raise InputError("xacro rejects it", file=path, hint=words) from None
+    known = _arguments_in([path, *map(Path, xacro.all_includes[before:])])  # xacro ignores others
     for name in arguments:
         if name not in known:
             near = nearest_name(name, known)
@@ -313,7 +313,7 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> str:
 
 
 def _of_root(path: Path) -> dict[str, str]:
-    """Arguments that the first element asks for, of which the file says a value only after it: xacro has not read it by then."""
+    """Defaults of arguments that the root element uses before they are declared: xacro has not read them by then."""
     text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
     root = re.search(r"<robot\b[^>]*>", text)
     asked = re.findall(r"\$\(arg\s+(\w+)\)", root[0]) if root else []
@@ -324,7 +324,7 @@ def _of_root(path: Path) -> dict[str, str]:
 
 
 def _users_of(path: Path, around: Path) -> list[str]:
-    """Names of the files around a xacro file that include it, on their own or by others, and that none includes."""
+    """Names of the files around a xacro file that include it, directly or through others, and that no file includes."""
     texts = {
         file: file.read_text(encoding="utf-8", errors="replace")
         for file in sorted(around.rglob("*.xacro"))[:_LOOKED_AT]

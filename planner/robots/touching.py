@@ -1,8 +1,8 @@
-"""Which links of an arm touch as hulls, posture by posture, and whether they do as drawn.
+"""Find which links of an arm touch as hulls, posture by posture, and whether they do so as drawn.
 
-Bodies are convex, and a hull fills the bends of a link: a fork and the flange that turns in it overlap as hulls where the
-real ones never meet. So links that are two or three joints apart are compared in postures drawn from the ranges of these
-joints: as hulls, and as the URDF draws them, triangle by triangle.
+Bodies are convex, and a hull fills the bends of a link: a fork and the flange that turns in it overlap as hulls where
+the real ones never meet. So links two or three joints apart are compared in random postures of the joints between them:
+as hulls, and as the URDF draws them, triangle by triangle.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from planner.cell.urdf import Urdf, link_frame
 from planner.robots.face import beneath, mounted
 from planner.verify.bodies import coal_geometry
 
-APART = (2, 3)  # joints between the links that are compared: more joints lead almost anywhere
-POSTURES = 500  # of the joints between two links
+APART = (2, 3)  # joints between compared links: with more, a link can get almost anywhere
+POSTURES = 500  # random postures of the joints between two links
 NEAR = 5e-3  # m: nearer hulls count as touching
-SELDOM = 0.02  # of the postures: hulls that touch less often cost next to nothing, and stay checked
-MOSTLY = 0.5  # of the postures in which drawn links overlap: they are drawn into each other
-BENT = 0.05  # of the postures in which hulls touch, and the drawn links do not: worth cutting into pieces
-PIECES = (4, 8)  # tried, fewest first
+SELDOM = 0.02  # share of the postures: hulls that touch less often cost almost nothing, and stay checked
+MOSTLY = 0.5  # share of the postures: links that overlap as drawn in so many are drawn into each other
+BENT = 0.05  # share of the postures in which the hulls touch but the drawn links do not: above it, cutting is worth it
+PIECES = (4, 8)  # numbers of pieces to try, fewest first
 
 Placed = tuple[coal.CollisionGeometry, Array]
-# A joint's links as they are drawn: read once, which takes longer than all postures.
+# A joint's links as drawn: cached, since reading them takes longer than all postures.
 Drawn = Callable[[int], list[Placed]]
 
 
 @dataclass(frozen=True)
 class Touching:
-    """What a robot's file should say of its bodies, and why, in words."""
+    """What a robot's file should say about its bodies, and why, in words."""
 
     may_touch: tuple[tuple[str, str], ...]
     pieces: dict[str, int]
@@ -51,7 +51,7 @@ NOTHING = Touching((), {}, ())
 
 
 class _Shares(NamedTuple):
-    """Of how many postures two links touch: as hulls, and as they are drawn (None: they are not)."""
+    """Share of the postures in which two links touch: as hulls, and as drawn (None: not compared)."""
 
     hulls: float
     drawn: float | None
@@ -60,7 +60,7 @@ class _Shares(NamedTuple):
 def touching(urdf: Urdf, robot: Robot) -> Touching:
     """Compare all links of an arm that are two or three joints apart.
 
-    What it stands on is none of them, nor what is mounted on its flange: at random it runs into these in earnest.
+    Left out are what it stands on and what is mounted on its flange: in random postures the real arm hits these too.
     """
     others = {*beneath(urdf, robot), *mounted(urdf, robot)}
     own = tuple(tuple(body for body in each if body.link not in others) for each in robot.bodies)
@@ -76,25 +76,25 @@ def touching(urdf: Urdf, robot: Robot) -> Touching:
 
 
 def _judged(urdf: Urdf, robot: Robot, drawn: Drawn, between: tuple[int, int]) -> Touching:
-    """What to say of the bodies that two joints carry."""
+    """What the file should say about the bodies that two joints carry."""
     first, second = (robot.bodies[k] for k in between)
     postures = _postures(robot, *between)
     found = _shares(drawn, (first, second), between, postures)
     both = f"{_names(first)} and {_names(second)}"
-    if not SELDOM < found.hulls < 1.0:  # those that touch always are left out wherever collisions are looked for
+    if not SELDOM < found.hulls < 1.0:  # pairs that always touch are left out of every collision check
         return NOTHING
     if found.drawn is None:
         if found.hulls < MOSTLY:
             return NOTHING
-        return Touching(_pairs(first, second), {}, (f"{both} touch in {found.hulls:.0%} of postures: not looked at",))
+        return Touching(_pairs(first, second), {}, (f"{both} touch in {found.hulls:.0%} of postures: not checked",))
     if found.drawn == 0.0 or found.drawn >= MOSTLY:
-        how = "never touch as they are drawn" if found.drawn == 0.0 else "are drawn into each other"
-        note = f"{both} {how}, and their hulls touch in {found.hulls:.0%} of postures: not looked at"
+        how = "never touch as drawn" if found.drawn == 0.0 else "are drawn into each other"
+        note = f"{both} {how}, and their hulls touch in {found.hulls:.0%} of postures: not checked"
         return Touching(_pairs(first, second), {}, (note,))
     better = _cut(urdf, robot, drawn, between, postures, found) if found.hulls - found.drawn > BENT else {}
     if not better:
         return NOTHING
-    note = f"{' and '.join(better)} cut into up to {max(better.values())} convex pieces: a hull fills the bend"
+    note = f"{' and '.join(better)} cut into up to {max(better.values())} convex pieces: one hull would fill the bend"
     return Touching((), better, (note,))
 
 
@@ -107,7 +107,7 @@ def _pairs(first: Sequence[Body], second: Sequence[Body]) -> tuple[tuple[str, st
 
 
 def _postures(robot: Robot, i: int, j: int) -> list[Array]:
-    """Poses (4, 4) of joint frame j in joint frame i all over the ranges of the joints between them."""
+    """Poses (4, 4) of joint frame j in joint frame i, sampled over the ranges of the joints between them."""
     model = robot.model
     low = np.maximum(model.lowerPositionLimit[i:j], -np.pi)
     high = np.minimum(model.upperPositionLimit[i:j], np.pi)
@@ -142,7 +142,7 @@ def _placed(body: Body) -> Placed:
 
 
 def _drawn(urdf: Urdf, robot: Robot, joint: int) -> list[Placed]:
-    """The meshes of all links that a joint carries, as they are seen, or as their bodies are; none if one cannot be read."""
+    """The visual meshes of all links that a joint carries, or else their collision meshes; empty if both lack some."""
     model = robot.model
     links = dict.fromkeys(body.link for body in robot.bodies[joint])
     for tag in ("visual", "collision"):
@@ -186,7 +186,7 @@ def _transform(T: Array) -> coal.Transform3s:
 def _cut(
     urdf: Urdf, robot: Robot, drawn: Drawn, between: tuple[int, int], postures: list[Array], found: _Shares
 ) -> dict[str, int]:
-    """The links to cut into pieces so that hulls touch in at most half of the postures in which they do in vain."""
+    """Numbers of pieces by link: the fewest that at least halve the postures in which only the hulls touch."""
     own = {body.link for k in between for body in robot.bodies[k]}
     links = dict.fromkeys(body.link for k in between for body in robot.bodies[k] if isinstance(body.solid, Hull))
     vain = found.hulls - (found.drawn or 0.0)

@@ -1,4 +1,4 @@
-"""A print to try an arm with: where it may stand, from which posture it begins, and whether a plan is verified."""
+"""A trial print for an arm: where it may stand, which posture it starts from, and whether its plan is verified."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from planner.robots.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, pr
 from planner.robots.listing import reach
 
 ABOVE = 0.05  # m above the cap, where the print begins and ends
-PLACES = 20  # best places that are looked at, one after another
-PLANS = 6  # that are tried with each nozzle: those of places without a posture that is free cost next to nothing
-LONGEST = 240.0  # s after which no further place is looked at
-HOMES = 4  # postures that are tried at each
-BACK = -0.15  # height of a place as a share of the reach, for arms whose base is above what they do best
-HUNG = (-0.3, -0.45, -0.6, -0.75)  # and the heights of places beneath an arm that hangs in its URDF
+PLACES = 20  # best places to try, one after another
+PLANS = 6  # to try with each nozzle; places without a collision-free posture do not count: they cost almost nothing
+LONGEST = 240.0  # s after which no further place is tried
+HOMES = 4  # postures to try at each place
+BACK = -0.15  # height of a place as a fraction of the reach, for arms that work best below their base
+HUNG = (-0.3, -0.45, -0.6, -0.75)  # likewise, heights of places beneath an arm that hangs in its URDF
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A print to try: its name, its file's text, its verified plan; or, where there is none, why not."""
+    """A trial print: its name, its problem file's text, and its verified plan; without a plan, the reason why."""
 
     name: str
     text: str
@@ -48,8 +48,9 @@ class _Failure(NamedTuple):
 
 
 def trial(robot: Robot, file: Path, outwards: Array, cap: Cap | None = None) -> Trial:
-    """Plan a spiral on a cap with a robot whose file stands already; outwards: where the last axis leaves the flange, in the
-    flange frame; cap: another than suits its reach. The nozzle is bent as that of the problem peer_cap, or straight."""
+    """Plan a spiral on a cap with a robot whose file exists already; the nozzle is bent as in the problem peer_cap, or
+    else straight. outwards: direction in which the last axis leaves the flange, in its frame; cap: in place of the one
+    sized for the arm's reach."""
     far = reach(robot) or 0.0
     cap = cap or cap_for(far)
     waypoints, _ = trial_files(file)
@@ -106,8 +107,8 @@ def _tried(robot: Robot, file: Path, name: str, nozzle: TrialNozzle, place: Arra
 
 
 def _groups(cap: Cap) -> list[tuple[Array, Array]]:
-    """Places (k, 3) [m] of the cap that the arm has to reach, from its centre, and the nozzle's axis there: first one above
-    it and its top, then those on its rim."""
+    """Points (k, 3) [m] that the arm has to reach, from the cap's centre, and the nozzle axis there: first a point
+    above the cap and its top, then those on its rim."""
     out = [(np.array([[0.0, 0.0, cap.radius + ABOVE], [0.0, 0.0, cap.radius]]), np.array([0.0, 0.0, -1.0]))]
     for turn in np.arange(6) * np.pi / 3.0:
         normal = np.array([np.sin(cap.polar) * np.cos(turn), np.sin(cap.polar) * np.sin(turn), np.cos(cap.polar)])
@@ -116,8 +117,8 @@ def _groups(cap: Cap) -> list[tuple[Array, Array]]:
 
 
 def _places(robot: Robot, nozzle: TrialNozzle, cap: Cap, far: float) -> list[Array]:
-    """Round places (3) [m] of the cap's centre before the arm, wherever that stands in its URDF, the best first, none beside
-    another."""
+    """Rounded places (3) [m] for the cap's centre in front of the arm, wherever its URDF puts that: best first, none
+    close to another."""
     T_base_stand, rated = robot.T_base_stand, []
     for high in HUNG if T_base_stand[2, 2] < -0.5 else (*HIGH, BACK):
         for share in FAR:

@@ -1,1 +1,1 @@
-"""Simulators of what a print runs on: a robot's controller and an extruder's board, on the network of this computer."""
+"""Simulators of the hardware of a print: a robot controller and an extruder's board, on this computer's network."""

@@ -1,4 +1,4 @@
-"""Simulators of what a print runs on."""
+"""Simulate the hardware of a print."""
 
 from planner.base.launch import end, launch
 

@@ -1,4 +1,4 @@
-"""Simulator of an extruder's board (RepRapFirmware), without sockets: bytes in, lines out, in its own time; and faults."""
+"""Simulator of an extruder's board (RepRapFirmware), without sockets: bytes in, lines out, in its own time; faults."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from planner.base.gcode_lines import commands_in
 
 BOARD_FAULTS = {
     "error": "answers a line with an error instead of doing it",
-    "delay": "holds back a line's ok, and all after it, for so many seconds (1 unless said)",
+    "delay": "holds back a line's ok, and all after it, for VALUE seconds (default 1)",
     "jam": "the filament jams when the line is begun: nothing is accepted any more once the queue is full",
-    "clog": "the filament monitor complains when the line is begun, and the line is done all the same, as on a real board",
+    "clog": "the filament monitor complains when the line is begun, but the line is done all the same, as on a real board",
     "drop": "closes the connection when the line's ok is due: the line is done, its ok is lost",
     "garbage": "sends bytes that mean nothing instead of a line's ok",
     "resend": "takes a line's checksum for wrong, once",
@@ -40,8 +40,8 @@ STREAM_FAULTS = {
 EGM_FAULTS = {
     "mute": "says nothing more after the message",
     "stop": "the program stops after the message",
-    "stray": "the first axis strays by so many degrees from the message on",
-    "gap": "says nothing for so many hundredths of a second after the message",
+    "stray": "the first axis strays by VALUE degrees from the message on",
+    "gap": "says nothing for VALUE hundredths of a second after the message",
     "garbage": "sends bytes that mean nothing instead of the message",
 }
 _FORM = re.compile(r"([a-z]+)@([1-9][0-9]{0,8})(?::([0-9]{1,6}(?:\.[0-9]{1,3})?))?")
@@ -49,7 +49,7 @@ _FORM = re.compile(r"([a-z]+)@([1-9][0-9]{0,8})(?::([0-9]{1,6}(?:\.[0-9]{1,3})?)
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a kind at a line, which counts from 1; value in the kind's unit, 1 unless said."""
+    """A fault of a kind at a line, counted from 1; value in the kind's unit, 1 by default."""
 
     kind: str
     line: int
@@ -57,13 +57,13 @@ class Fault:
 
 
 class Faults:
-    """Faults that have yet to happen; each happens once."""
+    """Pending faults; each happens once."""
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._left = list(faults)
 
     def take(self, kind: str, line: int | None) -> Fault | None:
-        """The fault of a kind that is due at a line, which then is past; None if there is none."""
+        """Remove and return the fault of a kind that is due at a line; None if there is none."""
         for fault in self._left:
             if fault.kind == kind and fault.line == line:
                 self._left.remove(fault)
@@ -72,13 +72,13 @@ class Faults:
 
 
 def faults_of(words: Sequence[str], kinds: Iterable[str]) -> tuple[Fault, ...]:
-    """Faults from words such as `delay@10:1.5`. Raises InputError for what is no fault of these kinds."""
+    """Parse faults such as `delay@10:1.5`. Raises InputError for anything but a fault of these kinds."""
     known = tuple(kinds)
     out = []
     for word in words:
         match = _FORM.fullmatch(word)
         if match is None:
-            raise InputError(f"{word!r} is no fault", field="--fault", hint="KIND@LINE or KIND@LINE:VALUE")
+            raise InputError(f"{word!r} is not a fault", field="--fault", hint="KIND@LINE or KIND@LINE:VALUE")
         kind, line, value = match.groups()
         if kind not in known:
             near = nearest_name(kind, known)
@@ -96,10 +96,10 @@ AMBIENT_C = 22.0
 
 @dataclass(frozen=True)
 class Heater:
-    """Full power until the target is reached, then held; cools by itself. Temperatures in °C, times in s.
+    """Full power until the target is reached, then held; passive cooling. Temperatures in °C, times in s.
 
-    limit   where it would end at full power; time_constant of both heating and cooling
-    start, since   temperature at a time, from which the present one follows
+    limit          final temperature at full power; time_constant of both heating and cooling
+    start, since   known temperature and its time, from which the present one is computed
     """
 
     limit: float
@@ -116,11 +116,11 @@ class Heater:
         return min(there, goal) if goal > self.start else max(there, goal)
 
     def set(self, target: float, time: float) -> Heater:
-        """The heater with another target from a time on."""
+        """The heater with another target from a given time."""
         return replace(self, target=target, start=self.at(time), since=time)
 
     def reached(self, cooling: bool) -> float:
-        """When the target is reached; at once where it would have to cool and that is not waited for."""
+        """When the target is reached; `since` if it would have to cool and `cooling` is not waited for."""
         goal = max(self.target, AMBIENT_C)
         if goal > self.start:
             return self.since + self.time_constant * math.log((self.limit - self.start) / (self.limit - goal))
@@ -138,23 +138,23 @@ BED = Heater(limit=140.0, time_constant=300.0)
 # ----------------------------------------------------------------------------------------------------
 # The board.
 #
-# Lines that move, heat or switch wait in a queue and are acknowledged when they enter it; G4, M109, M116 and M190 are
-# acknowledged when they are over, and nothing is taken meanwhile.
+# Lines that move, heat or switch wait in a queue and are acknowledged when they enter it; waits (`_WAITS`) are
+# acknowledged only when complete, and no line is accepted meanwhile.
 
 QUEUE = 4  # lines accepted and not yet done
 LONGEST_LINE = 256  # bytes, RepRapFirmware's GCODE_LENGTH
-MOST_WAITING = 64  # lines received and not yet accepted; what a network buffer holds
+MOST_WAITING = 64  # lines received and not yet accepted; the capacity of a network buffer
 TOOLS = 8
-DEFAULT_FEED = 50.0  # mm/s, RepRapFirmware's before any F
+DEFAULT_FEED = 50.0  # mm/s, RepRapFirmware's default before any F
 _WORD = re.compile(r"([A-Z])\s*(-?(?:[0-9]+\.?[0-9]*|\.[0-9]+)|\"[^\"]*\")?")
 _NUMBERED = re.compile(r"N([0-9]{1,9})\s+(.*)")
 _QUEUED = {"G0", "G1", "M104", "M140", "M106", "M107"}
-_WAITS = {"G4", "M109", "M116", "M190", "M400", "T"}  # a tool change waits for what moves, too
+_WAITS = {"G4", "M109", "M116", "M190", "M400", "T"}  # a tool change also waits for moves
 
 
 @dataclass(frozen=True)
 class Reply:
-    """A line for the other side; `ok` is the number of the line that it acknowledges, if it does."""
+    """A line for the other side; `ok` is the number of the line that it acknowledges, if any."""
 
     text: str
     ok: int | None = None
@@ -162,8 +162,8 @@ class Reply:
 
 @dataclass(frozen=True)
 class ReceivedLine:
-    """A line that came: its number as sent, or None, the G-code without it, which of its commands this is, and whether it
-    is the last one, with which the line is acknowledged."""
+    """A command of a received line: the line's number as sent, or None, its G-code without the number, the command, and
+    whether it is the last one, which acknowledges the line."""
 
     number: int | None
     text: str
@@ -175,9 +175,9 @@ class Record:
     """What a board has done so far.
 
     accepted   lines, in order, with their numbers
-    filament   that moved, by tool [mm]
-    fans       what each was set to last
-    warnings   all that it complained of
+    filament   moved, by tool [mm]
+    fans       last value of each
+    warnings   all warnings and errors
     """
 
     def __init__(self) -> None:
@@ -196,9 +196,9 @@ class _Job:
 
 
 class Board:
-    """The board's state. Times [s] are its own and never go back.
+    """The board's state. Times [s] are its own and never decrease.
 
-    tool  that is selected; None, as after a start of RepRapFirmware: it refuses to extrude then
+    tool  the selected tool; None, as after starting RepRapFirmware, refuses to extrude
     """
 
     def __init__(self, faults: Faults | None = None, tool: int | None = None) -> None:
@@ -218,20 +218,20 @@ class Board:
 
     @property
     def room(self) -> int:
-        """Lines that it would still take in; a reader that stops at none pushes back on the network."""
+        """Lines that it would still take; a reader that stops at 0 creates back-pressure on the network."""
         return 0 if self.halted else MOST_WAITING - len(self._waiting)
 
     @property
     def idle(self) -> bool:
-        """Nothing is being done or waits to be."""
+        """Whether nothing is being done or waiting."""
         return not (self._queue or self._waiting or self._blocked)
 
     def disconnect(self) -> None:
-        """The other side is gone: half a line is forgotten, what was accepted is done."""
+        """Take note that the other side is gone: a partial line is dropped, accepted lines are completed."""
         self._partial, self._overlong = b"", False
 
     def receive(self, data: bytes, now: float) -> list[Reply]:
-        """Take bytes in; the replies up to now."""
+        """Take bytes; returns the replies up to now."""
         out = self.advance(now)
         *whole, self._partial = re.split(rb"[\r\n]", self._partial + data)
         for raw in whole:
@@ -246,7 +246,7 @@ class Board:
         return out + self.advance(now)
 
     def advance(self, now: float) -> list[Reply]:
-        """Let time pass up to now; the replies meanwhile."""
+        """Let time pass up to now; returns the replies meanwhile."""
         out: list[Reply] = []
         while not self.halted:
             self._accept(out)
@@ -259,12 +259,12 @@ class Board:
         return out
 
     def next_change(self) -> float:
-        """When something will be over, if nothing comes in: infinity if nothing will."""
+        """When the next line will be done, if nothing else comes in: infinity if none will."""
         end = self._next_end()
         return math.inf if end is None or self.halted else end
 
     def temperatures(self) -> tuple[float, float]:
-        """Of the selected tool's nozzle and of the bed [°C]."""
+        """Temperatures of the selected tool's nozzle and of the bed [°C]."""
         return self._nozzles[self.tool or 0].at(self._time), self._bed.at(self._time)
 
     def _next_end(self) -> float | None:
@@ -277,7 +277,7 @@ class Board:
         return Reply(text)
 
     def _take(self, raw: bytes, out: list[Reply]) -> None:
-        """One line off the wire: checksum and number off, the rest to those that wait."""
+        """Take one line: strip checksum and number, and queue its commands as waiting."""
         text = raw.decode("ascii", errors="replace").strip()
         body, star, sum_ = text.rpartition("*")
         numbered = _NUMBERED.fullmatch(body if star else text)
@@ -288,7 +288,7 @@ class Board:
                 right ^= byte
             wrong = not sum_.strip().isdigit() or int(sum_) != right
             if wrong or self._faults.take("resend", number):
-                # without a number RepRapFirmware drops the line and says nothing
+                # without a number, RepRapFirmware silently drops the line
                 out += [Reply(f"Resend: {number}")] if number is not None else []
                 return
         code = (numbered[2] if numbered else body if star else text).split(";")[0].strip()
@@ -308,7 +308,7 @@ class Board:
         self._waiting += [ReceivedLine(number, code, each, k == len(commands)) for k, each in enumerate(commands, 1)]
 
     def _accept(self, out: list[Reply]) -> None:
-        """Take waiting lines as far as the queue allows."""
+        """Accept waiting lines as far as the queue allows."""
         while self._waiting and self._blocked is None and not self.halted:
             line = self._waiting[0]
             code, words = _parsed(line.command)
@@ -331,7 +331,7 @@ class Board:
                 out.append(_ok(line))
 
     def _enqueue(self, line: ReceivedLine, code: str, words: dict[str, float], out: list[Reply]) -> str | None:
-        """Queue a line, or say why not."""
+        """Queue a line, or return why not."""
         if code in ("G0", "G1"):
             if {"X", "Y", "Z"} & set(words):
                 return f"Error: {code}: insufficient axes homed"
@@ -360,7 +360,7 @@ class Board:
         return None
 
     def _finish(self, out: list[Reply]) -> None:
-        """What ends now has its effect."""
+        """Apply the effect of the line that ends now."""
         if not self._queue:
             job, self._blocked = self._blocked, None
             out += [] if job is None or not job.line.last else [_ok(job.line)]
@@ -378,7 +378,7 @@ class Board:
             self.record.fans[int(words.get("P", 0))] = words.get("S", 0.0) if job.code == "M106" else 0.0
 
     def _start_wait(self, line: ReceivedLine, code: str, words: dict[str, float]) -> str | None:
-        """Begin a line that is acknowledged when it is over, or say why not."""
+        """Begin a line that is acknowledged only when complete, or return why not."""
         if code == "T":
             if not 0 <= words["T"] < TOOLS:
                 return f"Error: Tool {words['T']:g} does not exist"
@@ -387,7 +387,7 @@ class Board:
         return None
 
     def _wait(self, code: str, words: dict[str, float]) -> float:
-        """How long a line that waits takes from now on [s]; heaters get their targets."""
+        """How long a waiting line takes from now [s]; sets the heaters' targets."""
         if code in ("T", "M400"):
             return 0.0
         if code == "G4":
@@ -404,7 +404,7 @@ class Board:
         return max(0.0, *(heater.reached(cooling) - self._time for heater in every))
 
     def _at_once(self, code: str, words: dict[str, float], out: list[Reply]) -> str | None:
-        """Do a line that neither moves nor waits, or say why not."""
+        """Carry out a line that neither moves nor waits, or return why not."""
         if code in ("M82", "M83"):
             self._relative = code == "M83"
         elif code == "G92":
@@ -425,7 +425,7 @@ def _ok(line: ReceivedLine) -> Reply:
 
 
 def _parsed(text: str) -> tuple[str, dict[str, float]]:
-    """Code such as `G1` and the values of the letters after it."""
+    """The code, such as `G1`, and the values of the letters after it."""
     found = _WORD.findall(text.upper())
     if not found:
         return text[:20], {}

@@ -1,6 +1,6 @@
-"""Simulator of an extruder's board that prints a file of its own, and looks at outputs of the robot: no sockets, no clock.
+"""Simulator of an extruder's board that prints its own file and reads outputs of the robot: no sockets, no clock.
 
-It reads G-code by itself and knows nothing of who wrote it.
+It parses G-code independently of the code that wrote it.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.gcode_lines import commands_in
 
-READ = 1e-3  # s that a line takes to be read from the card
-LOOK = 2e-3  # s between looks at an input that is waited for, and until what follows is on its way
-QUEUE = 40  # moves that are read ahead, as on a Duet 2
-GRACE = 10e-3  # s that RepRapFirmware waits for further moves before it begins, until M595 R says otherwise
-FIRST = 0.1  # s that Marlin waits for further moves with fewer than three
-LEAST_SPEED = 0.5  # mm/s, RepRapFirmware's until M203 I says otherwise
-SLOWEST = 0.01  # mm/s that M203 I sets at least
+READ = 1e-3  # s to read a line from the card
+LOOK = 2e-3  # s of delay after an awaited input has changed, until the next line is read
+QUEUE = 40  # moves read ahead, as on a Duet 2
+GRACE = 10e-3  # s that RepRapFirmware waits for further moves before it begins, unless M595 R sets another time
+FIRST = 0.1  # s that Marlin waits for further moves if there are fewer than three
+LEAST_SPEED = 0.5  # mm/s, RepRapFirmware's default unless M203 I sets another
+SLOWEST = 0.01  # mm/s: least value that M203 I can set
 _WORD = re.compile(r"([A-Z])(-?[0-9]*\.?[0-9]+)")
 _WHILE = re.compile(r"while sensors\.gpIn\[([0-9]+)\]\.value == 1 && iterations < ([0-9]+)")
 _ACTIVATE = re.compile(r"ACTIVATE_EXTRUDER EXTRUDER=extruder([0-9]*)")
@@ -33,8 +33,8 @@ _ACTIVATE = re.compile(r"ACTIVATE_EXTRUDER EXTRUDER=extruder([0-9]*)")
 class FileBoard:
     """A board that prints a file.
 
-    firmware      reprap, marlin or klipper: what it waits for, and how it begins
-    acceleration  of filament that moves from rest to rest [mm/s^2]; None: moves are joined
+    firmware      reprap, marlin or klipper: determines its wait commands and how it begins
+    acceleration  of filament moves from rest to rest [mm/s^2]; None: moves are joined without stopping
     """
 
     firmware: str = "reprap"
@@ -51,7 +51,7 @@ class FileBoard:
 
 @dataclass(frozen=True)
 class Output:
-    """An output of the robot: on at `ons` and off at `offs` [s], one after the other, off before."""
+    """An output of the robot: switched on at `ons` and off at `offs` [s] alternately, initially off."""
 
     ons: Array
     offs: Array
@@ -61,7 +61,7 @@ class Output:
         return bool(np.searchsorted(self.ons, time, side="right") > np.searchsorted(self.offs, time, side="right"))
 
     def when(self, level: bool, time: float) -> float:
-        """When it is on, or off, from a time on: infinity if never."""
+        """When it is first on, or off, from a given time: infinity if never."""
         if self.at(time) == level:
             return time
         edges = self.ons if level else self.offs
@@ -70,7 +70,7 @@ class Output:
 
 
 class FilamentMove(NamedTuple):
-    """Filament [mm] that moved from `start` to `end` [s] because of a line, counted from 1."""
+    """Filament [mm] moved from `start` to `end` [s] by a line, counted from 1."""
 
     line: int
     tool: int
@@ -81,8 +81,8 @@ class FilamentMove(NamedTuple):
 
 @dataclass(frozen=True)
 class Printed:
-    """What a board has done with a file: moves, when all was over [s], what it complained of, and the line at which it
-    still waits for the robot, if it does."""
+    """What a board has done with a file: moves, the time of the end [s], warnings, and the line at which it still waits
+    for the robot, if it does."""
 
     moves: tuple[FilamentMove, ...]
     end: float
@@ -91,14 +91,14 @@ class Printed:
 
 
 def print_file(text: str, board: FileBoard, inputs: Mapping[int, Output] | None = None) -> Printed:
-    """Let a board print a file from 0 s on; inputs by their numbers, which are off where nothing is wired to them."""
+    """Let a board print a file from 0 s; inputs by number, off unless wired."""
     run = _FileRun(text.splitlines(), board, inputs or {})
     run.all()
     return Printed(tuple(run.moves), max(run.read, run.moved), tuple(run.warnings), run.waits)
 
 
 class _FileRun:
-    """A file while it is printed: `read` until when lines were read, `moved` when the last move ends [s]."""
+    """A file while it is printed; read: the time up to which lines were read, moved: the end of the last move [s]."""
 
     def __init__(self, lines: Sequence[str], board: FileBoard, inputs: Mapping[int, Output]) -> None:
         self.moves: list[FilamentMove] = []
@@ -112,7 +112,7 @@ class _FileRun:
         self._ends: deque[float] = deque(maxlen=QUEUE)
 
     def all(self) -> None:
-        """All lines, those that are repeated as often as they are."""
+        """Process all lines, repeating loops."""
         i = 0
         while i < len(self._lines) and self.waits is None:
             loop = _WHILE.fullmatch(self._lines[i].strip())
@@ -162,7 +162,7 @@ class _FileRun:
             self._least = max(float(words["I"]) / 60.0, SLOWEST)
 
     def _wait(self, i: int, code: str, number: int, level: bool) -> None:
-        """Until an input has a level; Marlin also until all has moved."""
+        """Wait until an input has a level; Marlin also waits for all moves."""
         if code != {"reprap": "M577", "marlin": "M226"}.get(self._board.firmware):
             self.warnings.append(f"line {i + 1}: {code} is no command")
             return
@@ -183,7 +183,7 @@ class _FileRun:
         self.moves.append(FilamentMove(i + 1, self._tool, start, self.moved, amount))
 
     def _idle(self, i: int) -> float:
-        """How long an idle board waits for more, with the moves that follow."""
+        """How long an idle board waits before it begins, depending on the moves that follow [s]."""
         count = 1
         while count < QUEUE and i + count < len(self._lines) and self._lines[i + count].lstrip().startswith("G1 "):
             count += 1

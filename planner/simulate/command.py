@@ -28,9 +28,9 @@ from planner.simulate.rws import RWS_FAULTS, Access, RwsServer
 from planner.simulate.servers import HOST, BoardServer
 from planner.simulate.stream import StreamServer
 
-RWS_PORT, BOARD_PORT, PROGRAM_PORT = 8080, 8023, 1025  # the real ones, 80 and 23, ask for an administrator's rights
+RWS_PORT, BOARD_PORT, PROGRAM_PORT = 8080, 8023, 1025  # the real ones, 80 and 23, require administrator rights
 STREAM_PORT, EGM_PORT = 1026, 6510
-LOOK = 0.1  # s between looks at whether it is over
+LOOK = 0.1  # s between checks whether it is over
 RWS_PASSWORD, BOARD_PASSWORD = "BEADWISE_RWS_PASSWORD", "BEADWISE_HEAD_PASSWORD"  # names in the environment
 FASTEST = 1000.0
 
@@ -50,11 +50,11 @@ def simulate_command() -> Command:
         {
             "controller": f"web services on port {RWS_PORT}, programs on port {PROGRAM_PORT} of this computer",
             "board --pace 20": f"a board on port {BOARD_PORT}, twenty times as fast as a real one",
-            "board --help": "what one of them can be told, and which faults it can be given",
+            "board --help": "the options of one of them, and the faults that it can simulate",
         },
         {0: "over", 2: "wrong input", 130: "ended by Ctrl-C"},
         [
-            f"passwords come from {RWS_PASSWORD} and {BOARD_PASSWORD}; without, the controller's is ABB's default "
+            f"passwords come from {RWS_PASSWORD} and {BOARD_PASSWORD}; without them the controller's is ABB's default "
             "and the board has none"
         ],
     )
@@ -85,25 +85,31 @@ def simulate_command() -> Command:
         if kind == "controller":
             one.add_argument("--program-port", type=_port, default=PROGRAM_PORT, help="of the program's socket")
             one.add_argument("--arms", type=int, choices=(1, 2), default=1, help="2: a MultiMove system (default 1)")
-            one.add_argument("--problem", metavar="YAML", help="of the cell: its joint limits count, too, then")
+            one.add_argument(
+                "--problem", metavar="YAML", help="problem with the cell, whose joint limits then count too"
+            )
             one.add_argument("--rws", type=int, choices=(1, 2), default=1, help="version of Robot Web Services")
             one.add_argument("--certificate", type=Path, metavar="PEM", help="for https, with --key")
             one.add_argument("--key", type=Path, metavar="PEM")
-            one.add_argument("--lenient", action="store_true", help="do what can be understood, as documented or not")
+            one.add_argument(
+                "--lenient", action="store_true", help="accept whatever can be understood, documented or not"
+            )
             one.add_argument(
                 "--web-fault", action="append", default=[], metavar="KIND@REQUEST[:VALUE]", help="repeatable"
             )
-            one.add_argument("--ftp-port", type=_port, metavar="PORT", help="listen for FTP there, too")
+            one.add_argument("--ftp-port", type=_port, metavar="PORT", help="also listen for FTP on this port")
             one.add_argument(
                 "--ftp-fault", action="append", default=[], metavar="KIND@COMMAND[:VALUE]", help="repeatable"
             )
         if kind == "egm":
-            one.add_argument("--start", type=_joints, required=True, metavar="DEG,DEG,…", help="joints it stands at")
+            one.add_argument(
+                "--start", type=_joints, required=True, metavar="DEG,DEG,…", help="joints at which it starts"
+            )
     return parser
 
 
 def _told(where: str, faults: Mapping[str, str]) -> str:
-    return f"faults, once each at {where}:\n" + "\n".join(f"  {name:8} {what}" for name, what in faults.items())
+    return f"faults, each once at {where}:\n" + "\n".join(f"  {name:8} {what}" for name, what in faults.items())
 
 
 def _joints(text: str) -> tuple[float, ...]:
@@ -160,7 +166,7 @@ def _egm(options: argparse.Namespace) -> None:
 
 def _controller(options: argparse.Namespace) -> None:
     if (options.certificate is None) != (options.key is None):
-        raise InputError("a certificate needs its key, and the other way round", field="--certificate")
+        raise InputError("a certificate needs its key, and vice versa", field="--certificate")
     faults = faults_of(options.fault, CONTROLLER_FAULTS)
     move: Callable[[RobotProgram], ProgramMotion] = own_clock
     if options.problem is not None:
@@ -190,7 +196,7 @@ def _controller(options: argparse.Namespace) -> None:
 
 
 def _wait(what: str, over: Callable[[], str] = str) -> None:
-    """Until Ctrl-C, or until `over` says why it is over."""
+    """Wait until Ctrl-C, or until `over` returns why it is over."""
     print(f"simulated {what}; Ctrl-C ends it", flush=True)
     while not over():
         time.sleep(LOOK)

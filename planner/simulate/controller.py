@@ -1,4 +1,4 @@
-"""Simulator of a robot controller, without sockets: files, loaded modules, the program that runs, and its motion."""
+"""Simulator of a robot controller, without sockets: files, loaded modules, the running program, and its motion."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from planner.simulate.board import Fault, Faults
 from planner.simulate.servers import LATEST, TIMEOUT, Ended, ProgramSocket, bound_socket
 
 # ----------------------------------------------------------------------------------------------------
-# Motion of a program over time, by speeds alone.
+# Motion of a program over time, from speeds only.
 
 ORDER = OUTPUT, SEND, SETTLE = "output", "send", "settle"
-# lines that the board acknowledges only when they are over
+# lines that the board acknowledges only when complete
 SLOW = ("G4", "M109", "M116", "M190")
 
 
 @dataclass(frozen=True)
 class MotionEvent:
-    """Something that a program does at a time [s], with a move.
+    """An action of a program at a time [s], during a move.
 
-    Sets an output (`signal=0`, `signal=1`); sends a line; or waits, at the end of a rest, until all lines are taken.
+    Sets an output (`signal=0`, `signal=1`); sends a line; or waits, at the end of a rest, for all acknowledgements.
     """
 
     time: float
@@ -52,7 +52,7 @@ class MotionEvent:
 
 
 class ProgramMotion(Protocol):
-    """A program's motion. Times [s] count from its first move."""
+    """A program's motion. Times [s] are relative to its first move."""
 
     @property
     def duration(self) -> float:
@@ -69,10 +69,10 @@ class ProgramMotion(Protocol):
 
 @dataclass(frozen=True)
 class OwnClock:
-    """Motion at the programmed speeds, without acceleration: each move takes as long as its slowest part. An axis of the
-    station, which may slide or turn, takes the lesser of its two times.
+    """Motion at the programmed speeds, without acceleration: each move takes as long as its slowest component. A
+    station axis, which may be prismatic or revolute, takes the lesser of its two times.
 
-    ends (m,) when each move ends, its wait not counted; starts (m,); first (3,) target; way (m - 1) from each to the next
+    ends (m,) of the moves, without their waits; starts (m,); first (3,) target; way (m - 1) from each to the next
     """
 
     starts: Array
@@ -91,19 +91,19 @@ class OwnClock:
 
 
 def own_clock(program: RobotProgram) -> OwnClock:
-    """The motion of a program by its own speeds and lengths."""
+    """The motion of a program, from its own speeds and lengths."""
     way = program.segments
     step = way.length
     same = np.abs(np.einsum("ij,ij->i", program.quat[1:], program.quat[:-1])).clip(0.0, 1.0)
     turn = 2.0 * np.arccos(same)
     axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0)
     tip, reorient, slide, rotate = program.speed[1:].T
-    # no cell is known here: neither which axes slide, whose mm were read as degrees, nor where a second arm's flange is
+    # without a cell it is unknown which axes slide (their mm were read as degrees), and where a second arm's flange is
     if program.second is None:
         beside = np.minimum(axes / rotate, 1e-3 * np.degrees(axes) / slide)
     else:
         beside = axes / program.second[2:, 1]
-    # the first move goes to where the robot stands already
+    # the first move leads to where the robot already stands
     lasts = np.concatenate([[0.0], np.maximum(np.maximum(step / tip, turn / reorient), beside)])
     after = np.cumsum(lasts + program.wait)
     starts = np.concatenate([[0.0], after[:-1]])
@@ -114,12 +114,12 @@ def own_clock(program: RobotProgram) -> OwnClock:
 
 
 def in_order(happenings: Iterable[MotionEvent]) -> tuple[MotionEvent, ...]:
-    """By time and move; with the same move outputs come before lines, and these before what waits for them."""
+    """Sort by time and move; within a move, outputs come before lines, and lines before the waits for them."""
     return tuple(sorted(happenings, key=lambda each: (each.time, each.move, ORDER.index(each.kind))))
 
 
 def lines(program: RobotProgram, ends: Array, after: Array) -> Iterator[MotionEvent]:
-    """The lines that a program sends, and its waits for the board; ends, after (m) of each move, and of its rest [s]."""
+    """Lines that a program sends, and its waits for the board; ends, after (m): of each move, and of its rest [s]."""
     for move in sorted(program.sends):
         texts = program.sends[move]
         arrive, leave = (0.0, 0.0) if move < 0 else (float(ends[move]), float(after[move]))
@@ -139,12 +139,12 @@ def _outputs(program: RobotProgram, starts: Array, lasts: Array, length: Array) 
 
 
 # ----------------------------------------------------------------------------------------------------
-# The same by the player of programs: with accelerations, corners and joint limits of a cell.
+# The same, from the program player: with a cell's accelerations, corners and joint limits.
 
 
 @dataclass(frozen=True)
 class PlayedMotion:
-    """A program that was played."""
+    """The motion of a played program."""
 
     played: Played
     duration: float
@@ -157,8 +157,8 @@ class PlayedMotion:
 
 
 def played_motion(program: RobotProgram, cell: Cell) -> PlayedMotion:
-    """The motion of a program in its cell, as its controller counts joints, with its nozzle. Raises InputError for what cannot
-    be reached."""
+    """The motion of a program in its cell, with joints as its controller counts them, and with its nozzle. Raises
+    InputError for unreachable targets."""
     cell, T_flange_tool = cell.as_counted, np.eye(4)
     T_flange_tool[:3, :3], T_flange_tool[:3, 3] = to_matrix(program.tool[None, 3:])[0], program.tool[:3]
     off = [np.linalg.norm(nozzle.T_flange_nozzle - T_flange_tool) for nozzle in cell.nozzles]
@@ -174,7 +174,7 @@ def played_motion(program: RobotProgram, cell: Cell) -> PlayedMotion:
 
 @dataclass(frozen=True)
 class MotionsInTurn:
-    """Motions one after the other; moves are counted through."""
+    """Motions one after another; moves are numbered consecutively."""
 
     motions: tuple[ProgramMotion, ...]
     moves: tuple[int, ...]
@@ -207,17 +207,17 @@ class MotionsInTurn:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A program that runs: its motion, its outputs, and its lines over the socket.
+# A running program: its motion, its outputs, and its lines over the socket.
 
 ACCEPT_TIMEOUT = 60.0  # s in which somebody must connect
-LOOK = 0.02  # s between looks at whether to pause or end
+LOOK = 0.02  # s between checks whether to pause or end
 GARBAGE = b"\x80L ?\x07\n"
 FINISHED = "finished"
 
 
 @dataclass(frozen=True)
 class RunState:
-    """Where a run is. time [s] of the program; move from 0; lines out and acknowledged; reason once it has ended."""
+    """State of a run: time [s] of the program; move from 0; lines sent and acknowledged; reason once it has ended."""
 
     module: str
     lines: int
@@ -231,9 +231,9 @@ class RunState:
 
 
 class ProgramRun:
-    """A program in a thread of its own; runs once `resume` is called, until its end, `end` or a fault.
+    """A program in a separate thread; runs once `resume` is called, until its end, `end` or a fault.
 
-    address   where it listens for who takes its lines, if it has any
+    address   where it listens for the receiver of its lines, if it has any
     """
 
     def __init__(
@@ -249,7 +249,7 @@ class ProgramRun:
         self._thread.start()
 
     def state(self) -> RunState:
-        """Where it is now."""
+        """Its present state."""
         with self._lock:
             return replace(self._state, outputs=dict(self._state.outputs))
 
@@ -264,11 +264,11 @@ class ProgramRun:
         return self._going.is_set() and not self.over
 
     def resume(self) -> None:
-        """Go on, or begin."""
+        """Continue, or begin."""
         self._going.set()
 
     def pause(self) -> None:
-        """Stand still; sockets stay as they are."""
+        """Stand still; sockets stay open."""
         self._going.clear()
 
     def end(self) -> None:
@@ -313,7 +313,7 @@ class ProgramRun:
         try:
             lines.say(f"X {lines.sent} {reason}"[:80])
         except Ended:
-            return  # nobody is left who could be told
+            return  # nobody is left to be told
 
     def _check(self) -> None:
         if self._ending.is_set():
@@ -385,13 +385,13 @@ class ProgramRun:
             self._note(lines)
 
     def _settle(self, lines: ProgramSocket | None) -> None:
-        """Stand until every line was taken."""
+        """Stand until every line is acknowledged."""
         while lines is not None and not lines.quiet:
             self._need(lines, LATEST)
         self._since = time.monotonic()
 
     def _need(self, lines: ProgramSocket, limit: float) -> None:
-        """Wait for an acknowledgement; a program that is paused waits for nothing."""
+        """Wait for an acknowledgement; while paused, the time limit does not run."""
         if self._going.is_set():
             lines.need(limit)
         else:
@@ -417,11 +417,11 @@ class ProgramRun:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The controller: files, loaded modules, the program that runs, and what may be done when.
+# The controller: files, loaded modules, the running program, and what is allowed when.
 
 LARGEST_FILE = 64 << 20  # bytes
 MOST_FILES = 1000
-RESTART_TIME = 2.0  # wall s in which a controller that restarts answers nothing
+RESTART_TIME = 2.0  # wall s for which a restarting controller does not answer
 TASK = "T_ROB1"
 TASKS = (TASK, "T_ROB2")  # of a MultiMove system with two arms
 _PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
@@ -429,14 +429,14 @@ _HOME = re.compile(r"(?i)(?:\$home/|home/|home:/?)")
 _MODULE = re.compile(r"(?im)^\s*MODULE\s+([A-Za-z]\w{0,31})")
 _MAIN = re.compile(r"(?im)^\s*PROC\s+main\s*\(")
 _LISTED = re.compile(r"<Module>\s*([^<\s]{1,64})\s*</Module>")
-# what a controller that was in use has loaded: a program of somebody else's
+# loaded on a controller in use: somebody else's program
 OTHER_PROGRAM = {"MainModule": "MODULE MainModule\n    PROC main()\n    ENDPROC\nENDMODULE\n"}
 
 Reader = Callable[[Mapping[str, str]], tuple[RobotProgram, ...]]
 
 
 class Denied(Exception):
-    """The controller does not do that now: carries the HTTP status that says so."""
+    """The controller refuses a request; carries the HTTP status for it."""
 
     def __init__(self, status: int, reason: str) -> None:
         self.status, self.reason = status, reason
@@ -444,13 +444,13 @@ class Denied(Exception):
 
 
 class Controller:
-    """Its state; safe to use from several threads. Files are kept in a temporary folder until `close`.
+    """The controller's state; thread-safe. Files are kept in a temporary folder until `close`.
 
-    address   where programs listen for who takes their lines
-    read      modules (name → text) → what the program does while each tool is in use; raises InputError
-    move      program → its motion; raises InputError for what cannot be reached
-    loaded    modules (name → text) of the program that is loaded already
-    arms      that it moves, each in a task of its own
+    address   where programs listen for the receiver of their lines
+    read      modules (name → text) → the program, split into stretches with one tool each; raises InputError
+    move      program → its motion; raises InputError for unreachable targets
+    loaded    modules (name → text) of a program that is already loaded
+    arms      number of arms, each in a separate task
     """
 
     def __init__(
@@ -475,19 +475,19 @@ class Controller:
         self.motors, self.mode = "motoron", "AUTO"
 
     def close(self) -> None:
-        """End what runs and take the files away."""
+        """End the running program, and delete the files."""
         with self._lock:
             self._end_run()
             shutil.rmtree(self._home, ignore_errors=True)
 
     def state(self) -> RunState | None:
-        """Where the program is; None if none was made ready since the start."""
+        """State of the program; None if none was prepared since the start."""
         with self._lock:
             return None if self._run is None else self._run.state()
 
     @property
     def silent(self) -> bool:
-        """It restarts and answers nothing."""
+        """Whether it is restarting and does not answer."""
         with self._lock:
             if self._run is not None and self._run.restarted.is_set():
                 self._end_run()
@@ -505,7 +505,7 @@ class Controller:
             return self._run is not None and self._run.going
 
     def put(self, path: str, data: bytes) -> None:
-        """Keep a file."""
+        """Store a file."""
         place = self._place(path)
         with self._lock:
             if not place.exists() and len(list(self._home.iterdir())) >= MOST_FILES:
@@ -520,7 +520,7 @@ class Controller:
         return place.read_bytes()
 
     def delete(self, path: str) -> None:
-        """Take a file away."""
+        """Delete a file."""
         place = self._place(path)
         if not place.is_file():
             raise Denied(404, "no such file")
@@ -531,7 +531,7 @@ class Controller:
         return sorted(each.name for each in self._home.iterdir())
 
     def load(self, path: str, replace: bool, task: str = TASK) -> None:
-        """Load a module into a task, in place of one of that name; the program pointer is lost."""
+        """Load a module into a task, with `replace` in place of one of the same name; the program pointer is lost."""
         with self._lock:
             self._stopped()
             name, text = self._module(path)
@@ -542,7 +542,7 @@ class Controller:
             self._tasks[task][name] = text
 
     def load_program(self, path: str, replace: bool, task: str = TASK) -> None:
-        """Load all modules that a .pgf in HOME names; with `replace`, in place of the task's whole program that is there."""
+        """Load all modules that a .pgf in HOME names; with `replace`, in place of the task's whole program."""
         with self._lock:
             self._stopped()
             if not path.lower().endswith(".pgf"):
@@ -595,7 +595,7 @@ class Controller:
             return list(self._tasks[task])
 
     def reset_pointer(self) -> None:
-        """Program pointers of all tasks to main: what ran before is over, its sockets are closed."""
+        """Set the program pointers of all tasks to main: the previous run is over, and its sockets are closed."""
         with self._lock:
             self._stopped()
             modules: dict[str, str] = {}
@@ -617,7 +617,7 @@ class Controller:
             self._run = ProgramRun(programs[0].module, motion, self._pace, self._address, self._faults)
 
     def start(self) -> None:
-        """Run, or go on."""
+        """Run, or continue."""
         with self._lock:
             self._stopped()
             if self.mode != "AUTO" or self.motors != "motoron":
@@ -627,7 +627,7 @@ class Controller:
             self._run.resume()
 
     def stop(self) -> None:
-        """Stand still; the program keeps its place."""
+        """Stop; the program keeps its place."""
         with self._lock:
             if self._run is not None:
                 self._run.pause()
@@ -641,7 +641,7 @@ class Controller:
             self._run.end()
 
     def _loaded_by(self, texts: Iterable[str]) -> dict[str, str]:
-        """Modules in HOME that texts name, as a program does that loads them while it runs."""
+        """Modules in HOME that texts name, as in programs that load them while they run."""
         whole = "\n".join(texts)
         out: dict[str, str] = {}
         for path in sorted(self._home.glob("*.mod")):
@@ -652,7 +652,7 @@ class Controller:
         return out
 
     def _place(self, path: str) -> Path:
-        """A file's place, for `HOME:/name` or `$HOME/name` only."""
+        """The path of a file, for `HOME:/name` or `$HOME/name` only."""
         home = _HOME.match(path)
         name = path[home.end() :] if home else ""
         if not _PLAIN.fullmatch(name):
@@ -661,5 +661,5 @@ class Controller:
 
 
 def read_modules(modules: Mapping[str, str]) -> tuple[RobotProgram, ...]:
-    """What modules (name → text), one of which has the main procedure, do while each tool is in use."""
+    """Read modules (name → text), one of which has the main procedure, split into stretches with one tool each."""
     return read_rapid_stretches({f"{name}.mod": text for name, text in modules.items()})

@@ -21,15 +21,15 @@ TIME_CONSTANT = 0.03  # s of the first-order lag with which the robot follows
 ARM_AXES = 6
 UNANSWERED = 0.5  # wall s without a reference, after which the motion ends
 LONGEST = 4096  # bytes of a datagram
-MOST_AT_ONCE = 100  # datagrams that are looked at between two messages
+MOST_AT_ONCE = 100  # datagrams read between two messages
 GARBAGE = b"\xff\xfe\x00 no message"
 
 
 class EgmRobot:
-    """A robot that is guided, in a thread of its own: a client of the UDP address that it is told.
+    """A guided robot, in a separate thread: a client of the given UDP address.
 
-    start [deg]   where it stands: the arm's six axes, then the station's
-    pace          how many times as often as every 4 ms it sends; its own clock goes on by 4 ms all the same
+    start [deg]   joints it starts at: the arm's six axes, then the station's
+    pace          factor by which it sends more often than every 4 ms; its own clock still advances by 4 ms
     """
 
     def __init__(
@@ -41,17 +41,17 @@ class EgmRobot:
         self._lock, self._ending = threading.Lock(), threading.Event()
         self._references: list[Array] = []
         self._stray, self._running, self.reason = 0.0, True, ""
-        self._late = 0.0  # ms by which its clock has gone on without messages
+        self._late = 0.0  # ms by which its clock has advanced without messages
         self._thread = threading.Thread(target=self._run, name="egm", daemon=True)
         self._thread.start()
 
     def joints(self) -> Array:
-        """Where it stands (m) [deg]."""
+        """Present joints (m) [deg]."""
         with self._lock:
             return self._joints.copy()
 
     def references(self) -> Array:
-        """All references that came (n, m) [deg]."""
+        """All received references (n, m) [deg]."""
         with self._lock:
             return np.array(self._references)
 
@@ -76,14 +76,14 @@ class EgmRobot:
                     self.reason = f"nothing can be sent to {self._address[0]}:{self._address[1]}: {error.strerror}"
                     return
                 due = began + number * PERIOD / self._pace
-                if self._receive(here, due) or not self._references:  # before the first one it waits for its partner
+                if self._receive(here, due) or not self._references:  # it waits for its partner's first one
                     answered = time.monotonic()
                 self._move()
                 time.sleep(max(0.0, due - time.monotonic()))
         self.reason = self.reason or ("ended" if self._ending.is_set() else "no references")
 
     def _fault(self, number: int) -> bool:
-        """What is due before a message; whether that ends it all."""
+        """Apply faults due before a message; returns whether the motion ends."""
         if self._faults.take("mute", number):
             self.reason = "mute"
             return True
@@ -113,7 +113,7 @@ class EgmRobot:
         return bytes(message.SerializeToString())
 
     def _receive(self, here: socket.socket, due: float) -> bool:
-        """Take the first reference of the partner that comes before the next message is due; all else is dropped."""
+        """Take the partner's first reference before the next message is due; all other datagrams are dropped."""
         from google.protobuf.message import DecodeError
 
         for _ in range(MOST_AT_ONCE):
@@ -144,7 +144,7 @@ class EgmRobot:
 
 
 def _resolved(address: tuple[str, int]) -> tuple[str, int]:
-    """The address with its host in numbers. Raises InputError for an unknown host."""
+    """The address with a numeric host. Raises InputError for an unknown host."""
     try:
         return socket.gethostbyname(address[0]), address[1]
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The controller's FTP server, as far as an upload needs it (RFC 959, 2428, 3659): one folder, HOME."""
+"""The controller's FTP server, limited to what an upload needs (RFC 959, 2428, 3659): one folder, HOME."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from planner.simulate.board import Fault, Faults
 from planner.simulate.controller import LARGEST_FILE, Controller, Denied
 from planner.simulate.servers import is_http
 
-PATIENCE = 30.0  # s without a command until a connection is closed
+PATIENCE = 30.0  # s without a command, after which a connection is closed
 LONGEST = 512  # bytes of a command
 FOLDER = "/HOME"
 BLOCK = 65536
 FTP_FAULTS = {
     "refuse": "answers the command with 550, and does nothing",
     "drop": "closes the connection instead of answering",
-    "mute": "answers nothing for so many seconds",
-    "cut": "keeps half of what is stored, and says that all is well",
-    "garbage": "answers with bytes that are no FTP",
+    "mute": "answers nothing for VALUE seconds",
+    "cut": "keeps half of what is stored, but reports success",
+    "garbage": "answers with bytes that are not FTP",
 }
 
 
 @dataclass(frozen=True)
 class FtpAccess:
-    """Who may come in."""
+    """User and password of the server."""
 
     user: str = "Default User"
     password: str = "robotics"
 
 
 class FtpServer:
-    """Serves the controller's HOME, in threads of its own. Faults count commands after the login."""
+    """Serves the controller's HOME, in separate threads. Faults count commands after the login."""
 
     def __init__(
         self, host: str, port: int, controller: Controller, access: FtpAccess, faults: Sequence[Fault] = ()
@@ -62,7 +62,7 @@ class FtpServer:
 
     @property
     def commands(self) -> int:
-        """Commands that came so far, after the login."""
+        """Number of commands so far, after the login."""
         return self._count[0]
 
     def close(self) -> None:
@@ -74,7 +74,7 @@ class FtpServer:
 
 
 class _FtpConnection(socketserver.StreamRequestHandler):
-    """One connection of commands."""
+    """One command connection."""
 
     the_controller: Controller
     the_access: FtpAccess
@@ -101,7 +101,7 @@ class _FtpConnection(socketserver.StreamRequestHandler):
                 self._passive.close()
 
     def _do(self, word: str, rest: str) -> bool:
-        """Carry a command out; whether the connection goes on."""
+        """Carry out a command; returns whether the connection continues."""
         if word == "QUIT":
             self._say("221 bye")
             return False

@@ -1,7 +1,7 @@
-"""Robot Web Services, as far as a client needs them that brings a program onto a controller, starts and watches it.
+"""Robot Web Services, limited to what a client needs to upload a program to a controller, start it and monitor it.
 
-Written from ABB's references (developercenter.robotstudio.com: api/rwsApi for 1.0, api/RWS for 2.0) and from what users
-report of real controllers. Strict, it refuses all that these do not have; lenient, it does what can be understood.
+Written from ABB's references (developercenter.robotstudio.com: api/rwsApi for 1.0, api/RWS for 2.0) and users' reports
+of real controllers. If strict, it refuses everything these do not offer; if lenient, it does what it can understand.
 
 1.0 as on IRC5: digest authentication, `?action=`, XHTML or, for `?json=1`, JSON; rapid mastership for loading. 2.0 as on
 OmniCore: basic authentication, actions as paths, edit mastership, `;v=2.0` in the content types.
@@ -39,8 +39,8 @@ REALM = "validusers@robapi.abb"
 USER = "Default User"  # ABB's, on every new controller
 REFUSED = -1073442816  # the code of every refusal; clients must go by the HTTP status
 LONGEST_FORM = 4096  # bytes
-PATIENCE = 30.0  # s without a request until a connection is closed, and without a word until a subscription is
-MOST_NONCES = 200  # that digests are taken for; who has an older one is asked again
+PATIENCE = 30.0  # s without a request, or a message on a subscription, after which the connection is closed
+MOST_NONCES = 200  # valid for digests; a client with an older one is challenged again
 MOST_COUNT = 0xFFFFFFFF
 MOST_SESSIONS = 70  # as on an IRC5; 503 beyond
 FORM = {1: "application/x-www-form-urlencoded", 2: "application/x-www-form-urlencoded;v=2.0"}
@@ -49,22 +49,22 @@ ACCEPT_V2 = ("application/hal+json;v=2.0", "application/xhtml+xml;v=2.0")
 SUBPROTOCOL = {1: "robapi2_subscription", 2: "rws_subscription"}
 COOKIE = "-http-session-"
 EXECUTION = "/rw/rapid/execution;ctrlexecstate"
-LOOK = 0.02  # s between looks at the state of execution for those who subscribed to it
+LOOK = 0.02  # s between checks of the execution state for subscribers
 START = ("regain", "execmode", "cycle", "condition", "stopatbp", "alltaskbytsp")  # all required
 
-# What may go wrong at a request, counted from the first one that was let in.
+# Faults at a request, counted from the first authorised one.
 RWS_FAULTS = {
     "refuse": "answers the request with 403, and does nothing",
     "error": "answers the request with 500, and does nothing",
-    "broken": "does what was asked for, and answers 500",
+    "broken": "does what was asked for, but answers 500",
     "login": "answers the request with 401, as for a password that was changed",
     "busy": "answers the request with 503, and does nothing",
     "drop": "closes the connection instead of doing it",
     "lose": "does what was asked for, and closes the connection without an answer",
-    "slow": "answers the request so many seconds late",
-    "drip": "answers the request a byte at a time, so many seconds apart",
-    "garbage": "answers the request with bytes that are no HTTP",
-    "nonsense": "answers the request with a text that is of another kind",
+    "slow": "answers the request VALUE seconds late",
+    "drip": "answers the request a byte at a time, VALUE seconds apart",
+    "garbage": "answers the request with bytes that are not HTTP",
+    "nonsense": "answers the request with text of another kind",
     "deaf": "closes the subscription when the request comes",
 }
 STATUS = {"refuse": 403, "error": 500, "login": 401, "busy": 503}
@@ -75,7 +75,7 @@ Form = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Access:
-    """Who may come in, which version is spoken, and how strictly. certificate, key: PEM files for https; http without."""
+    """User, password, version of the services, and strictness. certificate, key: PEM files for https; without, http."""
 
     user: str = USER
     password: str = "robotics"  # ABB's, on every new controller
@@ -89,11 +89,11 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Who leaves in the middle of an answer, leaves."""
+        """Ignore clients that leave in the middle of an answer."""
 
 
 class RwsServer:
-    """Serves a controller, in threads of its own. requests: each that was let in, as `POST /path?query`."""
+    """Serves a controller, in separate threads. requests: all authorised ones, as `POST /path?query`."""
 
     def __init__(
         self, host: str, port: int, controller: Controller, access: Access, faults: Sequence[Fault] = ()
@@ -114,7 +114,7 @@ class RwsServer:
             except OSError as error:
                 self._server.server_close()
                 raise InputError("no certificate and key to be read", file=access.certificate) from error
-            # the handshake is the connection's own thread's, so that one who does not go through with it holds up nobody
+            # each connection's own thread does the handshake, so that an unfinished one holds up nobody else
             self._server.socket = context.wrap_socket(
                 self._server.socket, server_side=True, do_handshake_on_connect=False
             )
@@ -123,11 +123,11 @@ class RwsServer:
         self._thread.start()
 
     def requests(self) -> list[str]:
-        """What was asked so far by those who were let in."""
+        """The authorised requests so far."""
         return list(self._desk.asked)
 
     def inject(self, *words: str) -> None:
-        """Let more go wrong, as `error@1`: at requests counted from the next one."""
+        """Add faults such as `error@1`, at requests counted from the next one."""
         self._desk.inject(faults_of(words, RWS_FAULTS))
 
     def close(self) -> None:
@@ -139,12 +139,12 @@ class RwsServer:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Who is let in, what there is, and what is done for whom.
+# Authorisation, resources and actions.
 
 
 @dataclass(frozen=True)
 class _Request:
-    """A request of somebody who was let in. raw: its path before it was unquoted."""
+    """An authorised request. raw: its path before unquoting."""
 
     method: str
     path: str
@@ -162,7 +162,7 @@ class _Desk:
     def __init__(self, controller: Controller, access: Access, faults: Sequence[Fault]) -> None:
         self.controller, self.access = controller, access
         self.two, self.strict = access.version == 2, access.strict
-        self._nonces: OrderedDict[str, int] = OrderedDict()  # given out → the count that came with it last
+        self._nonces: OrderedDict[str, int] = OrderedDict()  # issued nonce → its last count
         self._opaque = secrets.token_hex(8)
         self.ending = threading.Event()
         self.asked: list[str] = []
@@ -175,7 +175,7 @@ class _Desk:
         self._deaf = False
 
     def challenge(self) -> str:
-        """What whoever is not let in is to answer; for digest a nonce that nobody else gets."""
+        """The challenge for a client that is not authorised; for digest, with a unique nonce."""
         if self.two:
             return f'Basic realm="{REALM}"'
         nonce = secrets.token_hex(16)
@@ -186,7 +186,7 @@ class _Desk:
         return f'Digest realm="{REALM}", qop="auth", algorithm=MD5, nonce="{nonce}", opaque="{self._opaque}"'
 
     def lets_in(self, method: str, path: str, header: str) -> bool:
-        """Whether a request, with its Authorization, is of a user. A digest is taken once: its count must rise (RFC 7616)."""
+        """Whether a request's Authorization is valid. A digest is accepted once, as its count must rise (RFC 7616)."""
         kind, _, rest = header.partition(" ")
         if self.two:
             expected = base64.b64encode(f"{self.access.user}:{self.access.password}".encode())
@@ -210,7 +210,7 @@ class _Desk:
         return True
 
     def session_of(self, cookies: str) -> tuple[str, bool]:
-        """The session that cookies name, or a new one; whether it is new."""
+        """The session named by cookies, or a new one; and whether it is new."""
         found = re.search(rf"{COOKIE}=([0-9a-f]{{16}})", cookies)
         with self._lock:
             if found and found[1] in self._sessions:
@@ -222,7 +222,7 @@ class _Desk:
             return new, True
 
     def fault(self, what: str) -> tuple[str, Fault] | None:
-        """Note a request, and what is to go wrong with it."""
+        """Record a request; returns the fault due at it."""
         with self._lock:
             self.asked.append(what)
             number = len(self.asked)
@@ -233,7 +233,7 @@ class _Desk:
         return None
 
     def inject(self, faults: Sequence[Fault]) -> None:
-        """Faults at requests counted from the next one; those that were injected before are forgotten."""
+        """Add faults at requests counted from the next one; faults injected before are forgotten."""
         with self._lock:
             self._more, self._more_from = Faults(faults), len(self.asked)
 
@@ -244,7 +244,7 @@ class _Desk:
             return deaf
 
     def leave(self, session: str) -> None:
-        """A session ends, and with it its mastership and subscriptions."""
+        """End a session, with its mastership and subscriptions."""
         with self._lock:
             self._sessions.discard(session)
             self._master = {domain: who for domain, who in self._master.items() if who != session}
@@ -296,7 +296,7 @@ class _Desk:
         return [{"_type": "rap-module-info-li", "_title": n, "name": n, "type": kind} for n, kind in kinds.items()]
 
     def _file(self, asked: _Request) -> str:
-        """Where a file is, by an environment variable of the controller."""
+        """The path of a file, given by an environment variable of the controller."""
         rest = asked.path.removeprefix("/fileservice/")
         if self.strict:
             raw = asked.raw.removeprefix("/fileservice/").lower()
@@ -307,7 +307,7 @@ class _Desk:
     # ---- doing --------------------------------------------------------------------------------------
 
     def change(self, asked: _Request) -> int:
-        """PUT or DELETE of a file, or DELETE of a subscription; the status."""
+        """PUT or DELETE a file, or DELETE a subscription; returns the status."""
         if asked.method == "DELETE" and asked.path.startswith("/subscription/"):
             if self.groups.get(asked.path.removeprefix("/subscription/")) != asked.session:
                 raise Denied(404, "no such subscription")
@@ -325,7 +325,7 @@ class _Desk:
         return 201
 
     def post(self, asked: _Request) -> None:
-        """An action."""
+        """Carry out an action."""
         if self.strict and (self.two or asked.body):
             self._kind(asked, (FORM[self.access.version],))
         if self.two == ("action" in asked.query):
@@ -357,7 +357,7 @@ class _Desk:
         deeds[deed]()
 
     def _guard(self, asked: _Request) -> None:
-        """Raises Denied unless the session holds what loading needs, and nobody else does."""
+        """Raises Denied if another session holds the mastership for loading, or, if strict, this one has none."""
         domain = "edit" if self.two else "rapid"
         holder = self._master.get(domain)
         if holder not in (None, asked.session):
@@ -410,7 +410,7 @@ class _Desk:
         self.controller.stop()
 
     def subscribe(self, asked: _Request) -> str:
-        """Subscribe to the state of execution; the subscription's number."""
+        """Subscribe to the execution state; returns the subscription's number."""
         if self.strict:
             self._kind(asked, (FORM[self.access.version],))
         which = _field(asked.form, "resources")
@@ -491,8 +491,8 @@ class _RwsConnection(BaseHTTPRequestHandler):
             self._reply(denied.status, self._written([], denied.reason))
 
     def _from_a_page(self) -> bool:
-        """Whether a page of elsewhere in a browser sent this: it might know the password, which is ABB's own unless said."""
-        origin = self.headers.get("Origin")  # that of a web socket is this server
+        """Whether a foreign page in a browser sent this: it might know the password, which is ABB's default."""
+        origin = self.headers.get("Origin")  # for a web socket, this server
         elsewhere = origin is not None and urlsplit(origin).netloc != self.headers.get("Host")
         return elsewhere or self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin")
 
@@ -559,7 +559,7 @@ class _RwsConnection(BaseHTTPRequestHandler):
         self._reply(201, _event(self.the_desk.controller.running, links).encode(), {"Location": where})
 
     def _events(self, group: str) -> None:
-        """Tell changes of the state of execution until either side has enough."""
+        """Report changes of the execution state until either side ends the subscription."""
         desk = self.the_desk
         found = re.search(rf"{COOKIE}=([0-9a-f]{{16}})", self.headers.get("Cookie", ""))
         if found is None or desk.groups.get(group) != found[1]:
@@ -601,7 +601,7 @@ class _RwsConnection(BaseHTTPRequestHandler):
         return self.rfile.read(int(length))
 
     def _written(self, states: list[dict[str, str]], reason: str | None = None) -> bytes:
-        """States, or a refusal, in the form that was asked for."""
+        """States, or a refusal, in the requested format."""
         if not self._json_asked:
             return _xhtml(states, reason).encode()
         status = {"code": 294912} if reason is None else {"code": REFUSED, "msg": reason}
@@ -633,7 +633,7 @@ class _RwsConnection(BaseHTTPRequestHandler):
 
 
 class _Nowhere:
-    """Takes an answer that nobody is to get."""
+    """Discards an answer."""
 
     def write(self, data: bytes) -> int:
         return len(data)
@@ -643,7 +643,7 @@ class _Nowhere:
 
 
 class _Drip:
-    """Sends an answer, and all after it on the connection, a byte at a time."""
+    """Sends an answer, and all later ones on the connection, a byte at a time."""
 
     def __init__(self, wire: Any, seconds: float, ending: threading.Event) -> None:
         self._wire, self._seconds, self._ending = wire, seconds, ending
@@ -665,7 +665,7 @@ class _Drip:
 
 
 def _event(running: bool, links: str) -> str:
-    """An event of the state of execution."""
+    """An event with the execution state."""
     state = {
         "_type": "rap-ctrlexecstate-ev",
         "_title": "ctrlexecstate",

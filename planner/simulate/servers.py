@@ -1,4 +1,4 @@
-"""The simulators' sockets: the board's telnet, and the connection that carries a program's G-code."""
+"""The simulators' sockets: the board's telnet, and the connection for a program's G-code."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BLOCK = 4096  # bytes read at once
 
 
 def bound_socket(host: str, port: int, kind: socket.SocketKind = socket.SOCK_STREAM) -> socket.socket:
-    """A socket bound to an address, any free port for 0. Raises InputError where that cannot be had."""
+    """A socket bound to an address, any free port for 0. Raises InputError if that is impossible."""
     out = socket.socket(socket.AF_INET, kind)
     try:
         out.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -34,27 +34,27 @@ def bound_socket(host: str, port: int, kind: socket.SocketKind = socket.SOCK_STR
     return out
 
 
-# A page in a browser may post what it likes to any port of this computer, and a protocol of lines would take those of the
-# body for its own. A request of HTTP begins with a method and a path, which no G-code and no command of FTP does.
+# A page in a browser may post anything to any port of this computer, and a line-based protocol would interpret the
+# lines of the body as its own. An HTTP request begins with a method and a path, unlike any G-code or FTP command.
 _HTTP = re.compile(rb"[A-Z]{3,10} [/*]")
 LONGEST_METHOD = 12  # bytes up to the path
 TURNED_AWAY = "a request of HTTP was turned away"
 
 
 def is_http(opening: bytes) -> bool:
-    """Whether a connection begins as a browser's does."""
+    """Whether a connection begins like a browser's."""
     return _HTTP.match(opening) is not None
 
 
 class LineReader:
-    """Lines of at most `longest` bytes, ended by LF, out of a stream of bytes."""
+    """Splits a byte stream into lines of at most `longest` bytes, terminated by LF."""
 
     def __init__(self, longest: int) -> None:
         self._longest = longest
         self._partial = b""
 
     def feed(self, data: bytes) -> list[str]:
-        """The lines that are whole now, without their end. Raises ValueError for what is no line of printable ASCII."""
+        """The lines now complete, without their LF. Raises ValueError for anything but lines of printable ASCII."""
         *whole, self._partial = (self._partial + data).split(b"\n")
         for raw in (*whole, self._partial):
             if len(raw) > self._longest:
@@ -71,14 +71,14 @@ class LineReader:
 # ----------------------------------------------------------------------------------------------------
 # The board on TCP, as in RepRapFirmware's telnet: one connection at a time, replies end with CRLF.
 
-DISCARDED = 0.5  # s after a connection, in which RepRapFirmware throws away what comes
-LOOK = 0.05  # s between looks at the clock and at whether to end
+DISCARDED = 0.5  # s after a connection, in which RepRapFirmware discards all input
+LOOK = 0.05  # s between checks of the clock, and whether to end
 GARBAGE = b"\x00\xfe\x81\x7fk~\r\n"
 MOST_TRIES = 3  # passwords before the connection is closed
 
 
 class BoardServer:
-    """A board with its network, in a thread of its own. Board time runs `pace` times as fast as the wall's."""
+    """A board with its network, in a separate thread. Board time runs `pace` times as fast as wall time."""
 
     def __init__(
         self,
@@ -137,7 +137,7 @@ class BoardServer:
                 self._part(selector, self._client)
 
     def _register(self, selector: selectors.BaseSelector, client: _Client) -> None:
-        """Listen to the client while there is room for what it sends."""
+        """Listen to the client while there is room for its lines."""
         wanted = self._board.room > 0
         if wanted != (client.socket in selector.get_map()):
             if wanted:
@@ -154,7 +154,7 @@ class BoardServer:
             self._board.disconnect()
 
     def _patience(self) -> float:
-        """How long nothing can happen by itself [wall s]."""
+        """How long nothing can happen without input [wall s]."""
         ends = [LOOK, (self._board.next_change() - self._now()) / self._pace]
         if self._client is not None and self._client.held:
             ends.append(self._client.held[0][0] - time.monotonic())
@@ -162,7 +162,7 @@ class BoardServer:
 
     def _accept(self) -> None:
         connection, _ = self._listener.accept()
-        connection.settimeout(1.0)  # for sending: one who does not read is dropped
+        connection.settimeout(1.0)  # for sending: a client that does not read is dropped
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._client is not None:
             connection.close()
@@ -178,7 +178,7 @@ class BoardServer:
             data = b""
         if not data:
             client.gone = True
-        elif client.browses(data):  # also while what comes is thrown away: its body may come later
+        elif client.browses(data):  # even while input is discarded, as its body may come later
             client.gone = True
             with self._lock:
                 self._board.record.warnings.append(TURNED_AWAY)
@@ -202,7 +202,7 @@ class BoardServer:
         client.gone = client.gone or (not client.logged_in and client.tries >= MOST_TRIES)
 
     def _say(self, client: _Client, replies: Sequence[Reply]) -> None:
-        """Send replies, and those that a fault held back and whose time has come."""
+        """Send replies, and those held back by a fault that are now due."""
         for reply in replies:
             line = reply.ok
             late = self._faults.take("delay", line)
@@ -221,7 +221,7 @@ class BoardServer:
 
 
 class _Client:
-    """A connection, and what is held back from it: (wall time when due, bytes); due at infinity closes it."""
+    """A connection, and the data held back from it: (due wall time, bytes); infinity closes the connection."""
 
     def __init__(self, connection: socket.socket, logged_in: bool) -> None:
         self.socket, self.logged_in = connection, logged_in
@@ -231,7 +231,7 @@ class _Client:
         self._opening = b""
 
     def browses(self, data: bytes) -> bool:
-        """Whether the connection turns out to be a browser's, now that more has come."""
+        """Whether the connection, with this data, turns out to be a browser's."""
         if len(self._opening) >= LONGEST_METHOD:
             return False
         self._opening = (self._opening + data)[:LONGEST_METHOD]
@@ -249,17 +249,17 @@ class _Client:
 
 WINDOW = 16  # lines sent and not acknowledged
 TIMEOUT = 2.0  # s without an acknowledgement while one is needed
-LATEST = 900.0  # s in which all lines must be taken, behind heating and at the end
-LONGEST = 80  # characters, as RAPID's strings
+LATEST = 900.0  # s in which all lines must be acknowledged, after heating and at the end
+LONGEST = 80  # characters, as for RAPID's strings
 _ANSWER = re.compile(r"([GA]) (0|[1-9][0-9]{0,8})|S (.{0,76})")
 
 
 class Ended(Exception):
-    """The connection cannot go on; says why."""
+    """The connection cannot continue; states why."""
 
 
 class ProgramSocket:
-    """Sends lines 1, 2, 3 … and keeps account of what was acknowledged. Errors come as Ended."""
+    """Sends lines 1, 2, 3 … and keeps track of acknowledgements. Errors are raised as Ended."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._socket, self._lines = connection, LineReader(LONGEST)
@@ -269,12 +269,12 @@ class ProgramSocket:
 
     @property
     def full(self) -> bool:
-        """As many lines are out as may be."""
+        """Whether as many lines as allowed await acknowledgement."""
         return self.sent - self.acknowledged >= WINDOW
 
     @property
     def quiet(self) -> bool:
-        """Every line was acknowledged."""
+        """Whether every line was acknowledged."""
         return self.sent == self.acknowledged
 
     def line(self, gcode: str) -> None:
@@ -297,7 +297,7 @@ class ProgramSocket:
             raise Ended("connection lost") from error
 
     def listen(self, seconds: float) -> None:
-        """Take what comes within some seconds, no longer than until something has come."""
+        """Wait up to some seconds for data, and process it."""
         self._socket.settimeout(max(seconds, 1e-4))
         try:
             data = self._socket.recv(BLOCK)
@@ -314,11 +314,11 @@ class ProgramSocket:
             raise Ended(f"garbage: {error}") from error
 
     def hold(self) -> None:
-        """The time without an acknowledgement begins anew."""
+        """Restart the time without an acknowledgement."""
         self._last = time.monotonic()
 
     def need(self, limit: float) -> None:
-        """To be asked while an acknowledgement is needed; raises Ended where it has taken longer than a limit [s]."""
+        """Call while an acknowledgement is needed; raises Ended if it has taken longer than a limit [s]."""
         if time.monotonic() - self._last > limit:
             raise Ended(f"no acknowledgement for {limit:g} s")
 

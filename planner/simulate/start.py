@@ -1,6 +1,6 @@
-"""Simulators of what a print runs on: a robot's controller and an extruder's board, on the network of this computer.
+"""Simulators of the hardware of a print: a robot controller and an extruder's board, on this computer's network.
 
-They use the protocols of the real ones, and know nothing of the programs that talk to them.
+They use the protocols of the real hardware, and know nothing of the programs that talk to them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Simulated:
     """Both simulators, running until `close` or the end of a with block.
 
     rws       (host, port) of the controller's web services, user "Default User"
-    program   (host, port) where its program listens once it was started
+    program   (host, port) where its program listens once started
     board     (host, port)
     """
 
@@ -33,7 +33,7 @@ class Simulated:
     _servers: tuple[RwsServer, BoardServer]
 
     def state(self) -> RunState | None:
-        """Where the controller's program is; None before there is one."""
+        """State of the controller's program; None before there is one."""
         return self.controller.state()
 
     def board_record(self) -> Record:
@@ -41,7 +41,7 @@ class Simulated:
         return self._servers[1].record()
 
     def requests(self) -> list[str]:
-        """What the controller's web services were asked."""
+        """The requests to the controller's web services."""
         return self._servers[0].requests()
 
     def close(self) -> None:
@@ -76,10 +76,11 @@ def start(
 ) -> Simulated:
     """Start both simulators on free ports; faults as words such as `drop@25` (see `faults_of`).
 
-    access: to the web services, else as on a new controller; in_use: another program is loaded.
-    read: modules (name → text) → programs, in place of our own reader of RAPID; cell: whose limits the motion keeps,
-    where programmed speeds alone are not enough. board_tool: selected on the board from the start. arms: of the controller.
-    Raises InputError for what is no fault.
+    access: to the web services, by default as on a new controller; in_use: another program is already loaded.
+    read: modules (name → text) → programs, in place of our own RAPID reader; cell: the motion keeps its limits;
+    without, it follows the programmed speeds alone. board_tool: selected on the board from the start; arms: of the
+    controller.
+    Raises InputError for an invalid fault.
     """
     of_controller = faults_of(controller_faults, CONTROLLER_FAULTS)
     of_board = faults_of(board_faults, BOARD_FAULTS)

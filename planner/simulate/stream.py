@@ -1,7 +1,6 @@
-"""The controller's side of a stream of moves: takes frames into a buffer of bounded size and lets them run in time.
+"""The controller's side of a stream of moves: takes frames into a bounded buffer and runs them in real time.
 
-The protocol is documented in planner/link/BeadwiseStream.mod; this is a second implementation, made without the
-first one's code.
+The protocol is documented in planner/link/BeadwiseStream.mod; this is a second, independent implementation.
 """
 
 from __future__ import annotations
@@ -22,26 +21,26 @@ from planner.simulate.board import Fault, Faults
 from planner.simulate.servers import bound_socket
 
 VERSION = 3
-ANY_PLAN = "any"  # in place of what a module has of a plan: no robot is moved
+ANY_PLAN = "any"  # in place of the checksum of a module's plan, as no robot is moved
 FRAME = 116  # bytes
-MESSAGE = 8  # frames that are read at once: RAPID's raw bytes hold 1024 bytes
+MESSAGE = 8  # frames read at once: RAPID's rawbytes hold 1024 bytes
 CAPACITY = 256  # frames
 SILENCE = 2.0  # s
-STARVING = 0.5  # s that the robot waits for moves within a bead
-AHEAD = 4  # moves handed to the motion beyond the one that runs
+STARVING = 0.5  # s: longest wait for moves within a bead
+AHEAD = 4  # moves handed to the motion beyond the current one
 LOOK = 0.005  # s
 _FIELDS = struct.Struct("<I4B3f4f4b6f4f2fH2x3f2f")
 
 
 class StreamEnded(Exception):
-    """The stream cannot go on; says why."""
+    """The stream cannot continue; states why."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame as it came. numbers: place, orientation, axes, speeds, wait, zone (19), in the frame's own units.
+    """A frame as received. numbers: place, orientation, axes, speeds, wait, zone (19), in the frame's own units.
 
-    via: point on the way of an arc; flow: from the move's start, and from its end on
+    via: intermediate point of an arc; flow: from the start of the move, and from its end
     """
 
     number: int
@@ -57,7 +56,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class StreamState:
-    """How a stream stands: frames, the most that were ever held, waits within beads, and why it ended."""
+    """State of a stream: frames, moves done, greatest fill, waits within beads, motion time [s], and why it ended."""
 
     frames: tuple[Frame, ...] = ()
     done: int = 0
@@ -68,11 +67,11 @@ class StreamState:
 
 
 def frame_of(data: bytes) -> Frame:
-    """A frame out of its bytes. Raises StreamEnded for a wrong checksum."""
+    """Parse a frame. Raises StreamEnded for a wrong checksum."""
     words = np.frombuffer(data, "<u2").astype(np.int64)
     body, sums = words[:-2], words[-2:]
     running = np.cumsum(body)
-    # sums modulo 65535 of running sums that are themselves taken modulo 65535
+    # the second checksum adds running sums that are themselves modulo 65535
     if running[-1] % 65535 != sums[0] or int(np.sum(running % 65535)) % 65535 != sums[1]:
         raise StreamEnded("wrong checksum")
     number, kind, flags, tool, _, *rest = _FIELDS.unpack(data[:-4])
@@ -81,7 +80,7 @@ def frame_of(data: bytes) -> Frame:
 
 
 class Buffer:
-    """The server without its network: frames in, moves out, in the program's time."""
+    """The server without its network: frames in, moves out, in program time."""
 
     def __init__(self, capacity: int = CAPACITY, pace: float = 1.0) -> None:
         self.state = StreamState()
@@ -95,7 +94,7 @@ class Buffer:
         self.finished = False
 
     def take(self, frame: Frame) -> None:
-        """One frame. Raises StreamEnded for one that may not come."""
+        """Take one frame. Raises StreamEnded for a stop, and for an unexpected frame."""
         if frame.kind == 6:
             return
         if frame.kind == 5:
@@ -110,11 +109,11 @@ class Buffer:
 
     @property
     def taken(self) -> int:
-        """Frames that were received so far."""
+        """Number of frames received so far."""
         return len(self._frames)
 
     def advance(self, now: float) -> bool:
-        """Hand over what may be by now [wall s]; whether anything was. Raises StreamEnded where it starves."""
+        """Hand over moves possible by now [wall s]; returns whether there were any. Raises StreamEnded if starved."""
         handed = False
         while not self.finished and self._may_hand(now):
             self._hand(self._held.popleft(), now)
@@ -122,7 +121,7 @@ class Buffer:
         return handed
 
     def record(self) -> StreamState:
-        """How it stands, with all frames."""
+        """The state, with all frames."""
         return replace(self.state, frames=tuple(self._frames))
 
     def _may_hand(self, now: float) -> bool:
@@ -153,9 +152,9 @@ class Buffer:
         self.state = replace(self.state, done=self.state.done + 1, moved=self.state.moved + lasts)
 
     def _lasts(self, frame: Frame) -> float:
-        """Time of a move and its wait [s] at its speeds; the first target after joints is where they lead.
+        """Time of a move and its wait [s] at its speeds; the first target after a joint frame is where that leads.
 
-        Frames do not say which axes slide: they take the lesser of both times.
+        Frames do not state which axes slide: they take the lesser of both times.
         """
         new = None if frame.kind == 3 else np.array(frame.numbers)
         old, self._last = self._last, new
@@ -171,7 +170,7 @@ class Buffer:
 
 
 def _arc_length(start: Array, via: Array, end: Array) -> float:
-    """Length of the arc through three points, by its inscribed angle."""
+    """Length of the arc through three points, from its inscribed angle."""
     a, b, chord = via - start, end - via, end - start
     sine = float(np.linalg.norm(np.cross(a, b)) / (np.linalg.norm(a) * np.linalg.norm(b)))
     turned = float(np.arctan2(sine, float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))))
@@ -179,10 +178,10 @@ def _arc_length(start: Array, via: Array, end: Array) -> float:
 
 
 class StreamServer:
-    """A buffer on TCP, in a thread of its own, for one stream.
+    """A buffer on TCP, in a separate thread, for one stream.
 
-    latency   how late its words are [wall s]
-    reading   time that it takes to read a message [wall s], in which it does nothing else; at_most: frames in one
+    latency   delay of its messages [wall s]
+    reading   time to read a message [wall s], in which it does nothing else; at_most: frames per message
     """
 
     def __init__(
@@ -207,7 +206,7 @@ class StreamServer:
         self._thread.start()
 
     def state(self) -> StreamState:
-        """How the stream stands."""
+        """State of the stream."""
         with self._lock:
             return self._buffer.record()
 
@@ -273,7 +272,7 @@ class StreamServer:
                 self._flush(connection)
 
     def _take(self, data: bytes) -> bytes:
-        """Take all whole frames; what is left over."""
+        """Take all whole frames; returns the bytes left over."""
         whole = len(data) // FRAME * FRAME
         before = self._buffer.taken
         with self._lock:
@@ -304,7 +303,7 @@ class StreamServer:
             self._words.append((time.monotonic() + self._latency, text.encode() + b"\n"))
 
     def _flush(self, connection: socket.socket) -> None:
-        """Send the words whose time has come."""
+        """Send the messages that are due."""
         try:
             while self._words and self._words[0][0] <= time.monotonic():
                 connection.sendall(self._words.popleft()[1])

@@ -1,4 +1,4 @@
-"""The server's end of a web socket (RFC 6455): the handshake, text out, and the few frames that a client sends."""
+"""The server's end of a web socket (RFC 6455): the handshake, outgoing text, and the few frames that a client sends."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from email.message import Message
 
 _KEY = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"  # RFC 6455, 1.3
 TEXT, CLOSE, PING, PONG = 0x1, 0x8, 0x9, 0xA
-LONGEST = 125  # bytes of a client's frame: pings, and closing
+LONGEST = 125  # bytes of a client's frame: only pings and closing
 
 
 class SocketClosed(Exception):
-    """The other end has gone, or says what is not of the protocol."""
+    """The other end has gone, or violates the protocol."""
 
 
 def accepted(headers: Message[str, str], subprotocol: str) -> bytes | None:
-    """The answer that turns a request into a web socket; None for a request that is none."""
+    """The answer that upgrades a request to a web socket; None if the request is not for one."""
     key = headers.get("Sec-WebSocket-Key", "")
     upgrade = headers.get("Upgrade", "").lower() == "websocket" and headers.get("Sec-WebSocket-Version") == "13"
     if not upgrade or not key.isascii():
@@ -55,7 +55,7 @@ class WebSocket:
             raise SocketClosed from error
 
     def heard(self, seconds: float) -> list[tuple[int, str]]:
-        """Frames (opcode, text) that came within a time [s]."""
+        """Frames (opcode, text) received within a time [s]."""
         try:
             if select.select([self._connection], [], [], seconds)[0]:
                 data = self._connection.recv(4096)
@@ -74,7 +74,7 @@ class WebSocket:
             return None
         length = self._begun[1] & 0x7F
         if not self._begun[1] & 0x80 or length > LONGEST:
-            raise SocketClosed  # a client's frames are masked, and nothing long is expected
+            raise SocketClosed  # a client's frames are masked, and long ones are not expected
         if len(self._begun) < 6 + length:
             return None
         opcode, mask, data = self._begun[0] & 0x0F, self._begun[2:6], self._begun[6 : 6 + length]

@@ -1,1 +1,1 @@
-"""What is to be printed: from drawings, meshes, faces, waypoints and G-code to beads, and what they ask of the nozzle."""
+"""The print as beads, from drawings, meshes, faces, waypoints or G-code, and what they require of the nozzle."""

@@ -1,12 +1,13 @@
-"""Layers laid on what is really there: the height map of a scan, smoothed, and beads that make up for it layer by layer.
+"""Layers laid on the print as it really is: a scan's height map, smoothed, and beads that compensate for it.
 
-The map has places on the planned top of the last printed layer, each with the deviation of the print along the normal
-there. At a place of any layer it is read by local linear regression in the tangent plane (moving least squares): the
-nodes within a radius count with Wendland's weight, which is smooth and ends at the radius. Where the map ends, the place
-nearest to its end stands for those beyond.
+The map has nodes on the planned top of the last printed layer, each with the deviation of the print along the normal
+there. Anywhere on any layer it is evaluated by local linear regression in the tangent plane (moving least squares):
+nodes within a radius are weighted with Wendland's function, which is smooth and vanishes at the radius. Beyond the edge
+of the map, the nearest place at its edge stands in.
 
-A bead may be made higher or lower by `most` at most. Of a deviation e of what lies beneath it makes up for
-most * tanh(e / most): all of a small one, `most` of a large one, and smooth in between. What is left is the next layer's.
+A bead may be made at most `most` higher or lower. Of a deviation e of the surface beneath, it compensates
+most * tanh(e / most): all of a small one, `most` of a large one, and smooth in between. The next layer continues with
+the remainder.
 """
 
 from __future__ import annotations
@@ -28,27 +29,25 @@ from planner.problem import Problem
 from planner.toolpath.bead import Bead, Surface, SurfaceOver, Toolpath
 from planner.toolpath.plane_paths import arc_length
 
-COLUMNS = ("x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "deviation_mm")  # of a map's file, and more that is for people
+COLUMNS = ("x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "deviation_mm")  # read from a map's file; others are for people
 LARGEST_MAP = 100_000_000  # bytes: a million places
-MOST_SHARE = (
-    0.5  # of a bead's height, by which it may be made higher or lower: thinner ones do not hold, higher ones sag
-)
-SAME_SIDE = 0.5  # least cosine of a node's normal and a place's: the other side of a thin wall says nothing
-LEVELLING = 1e-3  # of the weights' spread, added to that of slopes: a single row of nodes has none across
-_KNOTS = 12.0  # in the radius: places along a bead between which deviations are interpolated
-_WITHIN = 0.5  # of the radius, by which places may lie beside the map
-_TOGETHER = 4096  # places
-_STEPS = 2  # from a place above the map down to its nearest node
+MOST_SHARE = 0.5  # × a bead's height: greatest correction; thinner beads do not hold, higher ones sag
+SAME_SIDE = 0.5  # least cosine between the normals of a node and a place: excludes the other side of a thin wall
+LEVELLING = 1e-3  # × the total weight, added to the slopes' diagonal: a single row of nodes leaves one undetermined
+_KNOTS = 12.0  # per radius: knots along a bead between which deviations are interpolated
+_WITHIN = 0.5  # × the radius: greatest distance from the nearest node; places farther off are moved this near
+_TOGETHER = 4096  # places evaluated at once
+_STEPS = 2  # in which a place above the map is projected down to its nearest node's height
 
 
 @dataclass(frozen=True)
 class DeviationField(ReadOnlyArrays):
-    """A height map (n nodes) that can be asked anywhere.
+    """A height map (n nodes) that can be evaluated anywhere.
 
     points (n, 3)   on the planned top of a layer, part frame [m];  normals (n, 3) outward, of unit length
     deviation (n)   of the printed top along the normal [m]
     radius          within which nodes count [m]
-    bent            whether regression is quadratic, as holes ask for, instead of linear
+    bent            whether regression is quadratic, for filling holes, instead of linear
     """
 
     points: Array
@@ -58,7 +57,7 @@ class DeviationField(ReadOnlyArrays):
     bent: bool = False
 
     def at(self, places: Array, normals: Array) -> Array:
-        """Smoothed deviation (k) [m] beneath places (k, 3) of any layer whose unit normals are (k, 3)."""
+        """Smoothed deviation (k) [m] beneath places (k, 3) on any layer, with unit normals (k, 3)."""
         out = np.empty(len(places))
         for first in range(0, len(places), _TOGETHER):
             rows = slice(first, first + _TOGETHER)
@@ -86,7 +85,7 @@ class DeviationField(ReadOnlyArrays):
         return self._regressed(foot, normals, of[same], node[same], near)
 
     def _regressed(self, foot: Array, normals: Array, of: Ints, node: Ints, near: Ints) -> Array:
-        """Deviation (k) at feet (k, 3) from pairs (m) of a foot and a node; that of the nearest node (k) where there is none."""
+        """Deviation (k) at feet (k, 3) from pairs (m) of foot and node; without any, that of the nearest node (k)."""
         k = len(foot)
         first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=1)])
         first /= np.linalg.norm(first, axis=1)[:, None]
@@ -112,25 +111,25 @@ class DeviationField(ReadOnlyArrays):
 
 
 def wendland(share: Array) -> Array:
-    """Weight (...) at shares of a radius: 1 in the middle, 0 from the radius on, twice differentiable (Wendland, 1995)."""
+    """Weight (...) at shares of a radius: 1 at 0, 0 from the radius on, twice differentiable (Wendland, 1995)."""
     inside = np.clip(1.0 - share, 0.0, 1.0)
     return np.asarray(inside**4 * (4.0 * share + 1.0))
 
 
 def made_up(deviation: Array, most: float) -> Array:
-    """How much of a deviation (n) [m] one layer makes up for, where its beads may change by `most` [m]."""
+    """How much of a deviation (n) [m] one layer compensates, if its beads may change by `most` [m]."""
     return np.asarray(most * np.tanh(deviation / most))
 
 
 def left(deviation: Array, most: float, layers: int) -> Array:
-    """What is left (n) [m] of a deviation (n) on top of so many layers."""
+    """Remainder (n) [m] of a deviation (n) on top of so many layers."""
     for _ in range(layers):
         deviation = deviation - made_up(deviation, most)
     return deviation
 
 
 def read_map(path: Path, radius: float, complain: Complaint) -> DeviationField:
-    """The height map in a file. Raises InputError, made by `complain`, where there is none, or one of its rows is none."""
+    """Read a height map. Raises InputError, made by `complain`, if the file is no map or has an invalid row."""
     lines = read_text(path, LARGEST_MAP, complain)
     try:
         rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
@@ -140,13 +139,14 @@ def read_map(path: Path, radius: float, complain: Complaint) -> DeviationField:
     missing = [name for name in COLUMNS if name not in header]
     if missing or len(rows) < 2:
         raise complain(
-            f"{path.name} is no height map: {missing[0] if missing else 'places'} missing", hint="beadwise scan"
+            f"{path.name} is not a height map: {missing[0] if missing else 'places'} missing",
+            hint="beadwise scan writes it",
         )
     at = [header.index(name) for name in COLUMNS]
     try:
         table = np.array([[float(row[k]) for k in at] for row in rows[1:]])
     except (ValueError, IndexError):
-        raise complain(f"{path.name} has a row that is not numbers", hint="beadwise scan writes it") from None
+        raise complain(f"{path.name} has a row that is not all numbers", hint="beadwise scan writes it") from None
     size = np.linalg.norm(table[:, 3:6], axis=1)
     if not np.isfinite(table).all() or (np.abs(size - 1.0) > 1e-3).any():
         raise complain(f"{path.name} has numbers that are not finite, or normals not of unit length", hint=None)
@@ -154,9 +154,9 @@ def read_map(path: Path, radius: float, complain: Complaint) -> DeviationField:
 
 
 def printed_beads(problem: Problem, toolpath: Toolpath) -> int:
-    """How many beads lie in the layers that a scan found printed; 0 without one.
+    """Number of beads in the layers that a scan found printed; 0 without a scan.
 
-    Raises InputError where no layer is above them, or beads of lower layers come after those of higher ones.
+    Raises InputError if no layer lies above them, or if beads of lower layers come after those of higher ones.
     """
     if problem.as_printed is None:
         return 0
@@ -165,40 +165,46 @@ def printed_beads(problem: Problem, toolpath: Toolpath) -> int:
 
 
 def beads_up_to(layers: Sequence[int], last: int, complain: Complaint) -> int:
-    """How many of beads in these layers (from 0), in print order, belong to the first `last` layers. Raises InputError, made
-    by `complain`, where there is no such layer, none above it, or beads do not come layer by layer."""
+    """Number of beads in the first `last` layers, given each bead's layer (from 0) in print order.
+
+    Raises InputError, made by `complain`, if there is no such layer, if none is above it, or if beads do not come layer
+    by layer.
+    """
     there = sorted({layer + 1 for layer in layers})
     if last not in there:
         raise complain(f"there is no layer {last}", hint=f"layers {there[0]} to {there[-1]} are printed")
     if last == there[-1]:
-        raise complain(f"no layer is above layer {last}", hint="the last one has nothing to make up for it")
+        raise complain(f"layer {last} is the last one", hint="a layer above it is needed to make up for the deviation")
     count = sum(layer < last for layer in layers)
     if any(layer >= last for layer in layers[:count]):
         raise complain(
-            f"beads of layer {last} or below come after others above it", hint="this print is not made in layers"
+            f"beads of layer {last} or below are printed after beads above it",
+            hint="this print is not built layer by layer",
         )
     return count
 
 
 def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
-    """The toolpath on what a scan found; as it is where there was none.
+    """The toolpath corrected for a scanned print; unchanged without a scan.
 
-    Beads of printed layers are moved to where the print is, and those above by what is left of its deviation there; the
-    latter are as high as it takes. Raises InputError for a map that cannot be read, layers that there are not, bounds beyond
-    what beads bear, and prints without tops or heights to correct.
+    Beads of printed layers are moved to where the print is, those above by what remains of its deviation there; the
+    heights of the latter are adjusted to match. Raises InputError for a map that cannot be read, layers that do not
+    exist, corrections greater than beads tolerate, and prints without tops or heights to correct.
     """
     spec = problem.as_printed
     if spec is None:
         return toolpath
     printed = printed_beads(problem, toolpath)
     if any(bead.round for bead in toolpath.beads):
-        raise problem.error("as_printed", "struts in space have no top that others lie on", "leave it out")
+        raise problem.error(
+            "as_printed", "struts in space have no top surface for other beads to lie on", "leave it out"
+        )
     if problem.process.section == "fibre":
-        reason = "a fibre is as thick as it comes, and makes up for nothing"
+        reason = "a fibre has a fixed thickness, so it cannot make up for deviations"
         raise problem.error("as_printed", reason, "leave it out")
     least = min(float(bead.height.min()) for bead in toolpath.beads[printed:])
     if spec.most > MOST_SHARE * least:
-        reason = f"is more than half of a bead, which is {least * 1e3:g} mm high"
+        reason = f"is more than half the height of a bead, {least * 1e3:g} mm"
         raise problem.error("as_printed.most_mm", reason, f"at most {MOST_SHARE * least * 1e3:g}")
     field = read_map(spec.map, spec.smoothing, partial(problem.error, "as_printed.map"))
     beads = tuple(_moved(problem, field, bead) for bead in toolpath.beads)
@@ -206,10 +212,10 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
     over = left(off, spec.most, toolpath.layers - spec.after_layer)
     note = (
         f"layers above layer {spec.after_layer} are laid on what is printed, which is off by up to "
-        f"{np.abs(off).max() * 1e3:.2f} mm; {np.abs(over).max() * 1e3:.2f} mm of that are left on top"
+        f"{np.abs(off).max() * 1e3:.2f} mm; {np.abs(over).max() * 1e3:.2f} mm of that remains on top"
     )
     if problem.process.extruder.motor == "on_off":
-        note += "; its motor is on or off, so that flow follows from bead to bead only, not within one"
+        note += "; its motor is on or off, so its flow adapts from bead to bead only, not within one"
     surface = ScannedSurface(
         toolpath.surface, tuple(bead.s for bead in beads), tuple(bead.s for bead in toolpath.beads)
     )
@@ -218,24 +224,26 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
 
 @dataclass(frozen=True)
 class ScannedSurface(SurfaceOver):
-    """The surface beneath a toolpath whose beads were moved to where a print is: arc lengths of each bead's samples as it is
-    laid, and as it was drawn [m]."""
+    """The surface beneath a toolpath whose beads were moved onto a scanned print.
+
+    laid, drawn: arc lengths of each bead's samples, as it is laid and as it was drawn [m]
+    """
 
     laid: tuple[Array, ...]
     drawn: tuple[Array, ...]
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Normals on which a bead was drawn, at the same samples."""
+        """Normals of the bead as drawn, at the same samples."""
         laid, drawn = self.laid[bead], self.drawn[bead]
         return self.surface.normals_on(bead, s + np.interp(s, laid, drawn - laid), tips)
 
     def before(self, bead: int) -> Surface:
-        """The surface when so many beads have been printed."""
+        """The surface after so many beads have been printed."""
         return self.surface.before(bead)
 
 
 def _moved(problem: Problem, field: DeviationField, bead: Bead) -> Bead:
-    """A bead where it lies on what is printed."""
+    """A bead moved onto the scanned print."""
     spec = problem.as_printed
     if spec is None:
         raise TypeError("nothing was scanned")
@@ -261,7 +269,7 @@ def _moved(problem: Problem, field: DeviationField, bead: Bead) -> Bead:
 
 
 def _beside(bead: Bead, top: Array, near: Ints) -> Array:
-    """By how much (m, 3) places of the source move that lie beside samples (m) of the bead: linear between two samples."""
+    """Displacements (m, 3) of the source's points, next to samples `near` (m) of the bead: linear between samples."""
     out = np.empty((len(near), 3))
     moves = top[:, None] * bead.normals
     last = len(bead.s) - 1

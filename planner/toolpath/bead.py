@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.problem.waypoint_arrays import WaypointArrays
 
-_AROUND = 96  # corners of a circle
+_AROUND = 96  # segments of a circle
 _DOWN = 24  # rings of a dome
 _ACROSS = 80  # squares of a skin along its longer side
-MOST_TRIANGLES = 20_000  # of a picture that a browser turns at ease
+MOST_TRIANGLES = 20_000  # in a picture: a browser still turns this many with ease
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Shape(ReadOnlyArrays):
 
 
 def cylinder_shape(radius: float, height: float, centre: Array) -> Shape:
-    """An upright cylinder on z = 0, its axis at centre (2), with its lid."""
+    """An upright cylinder on z = 0 with a lid; its axis is at centre (2)."""
     a = np.linspace(0.0, 2.0 * np.pi, _AROUND + 1)
     out = np.column_stack([np.cos(a), np.sin(a), np.zeros(_AROUND + 1)])
     bottom = radius * out + [*centre, 0.0]
@@ -49,7 +49,7 @@ def cylinder_shape(radius: float, height: float, centre: Array) -> Shape:
 
 
 def dome_shape(radius: float, centre: Array) -> Shape:
-    """The part of a ball above its own middle and above z = 0; centre (3)."""
+    """The part of a sphere above its own equator and above z = 0; centre (3)."""
     lowest = np.arccos(np.clip(-centre[2] / radius, 0.0, 1.0))
     down, around = np.meshgrid(
         np.linspace(0.0, lowest, _DOWN + 1), np.linspace(0.0, 2.0 * np.pi, _AROUND + 1), indexing="ij"
@@ -60,7 +60,7 @@ def dome_shape(radius: float, centre: Array) -> Shape:
 
 
 def facets_shape(corners: Array) -> Shape | None:
-    """Facets (n, 3, 3) as they are; None for more than a picture bears."""
+    """Facets (n, 3, 3) unchanged; None if there are more than MOST_TRIANGLES."""
     if len(corners) > MOST_TRIANGLES:
         return None
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -69,7 +69,7 @@ def facets_shape(corners: Array) -> Shape | None:
 
 
 def skin_shape(at: Callable[[Array], tuple[Array, Array]], low: Array, high: Array) -> Shape:
-    """A surface over the rectangle from low (2) to high (2), where it is: `at` gives points and normals at x, y (n, 2)."""
+    """The part of a surface over the rectangle low (2) to high (2); `at` gives points and normals at x, y (n, 2)."""
     step = float((high - low).max()) / _ACROSS
     axes = [np.linspace(a, b, max(2, int(np.ceil((b - a) / step)) + 1)) for a, b in zip(low, high, strict=True)]
     points, normals = at(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2))
@@ -82,7 +82,7 @@ def skin_shape(at: Callable[[Array], tuple[Array, Array]], low: Array, high: Arr
 
 
 def _squares(rows: int, columns: int) -> Ints:
-    """Triangles of a grid of vertices that is counter-clockwise where columns run to the right and rows up."""
+    """Triangles of a grid of vertices, counter-clockwise if columns run to the right and rows upwards."""
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     right, above = corner + 1, corner + columns
     return np.vstack([np.column_stack([corner, right, above]), np.column_stack([right, above + 1, above])])
@@ -100,26 +100,26 @@ class Surface(Protocol):
         ...
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Outward unit normals (n, 3) on which a bead is laid at arc lengths s (n) [m], the nozzle's tip at tips (n, 3)."""
+        """Outward unit normals (n, 3) beneath a bead at arc lengths s (n) [m], with the nozzle tip at tips (n, 3)."""
         ...
 
     def before(self, bead: int) -> Surface:
-        """The surface when the first `bead` beads have been printed, if it knows of them."""
+        """The surface after the first `bead` beads have been printed, if it keeps track of them."""
         ...
 
 
 @dataclass(frozen=True)
 class SurfaceOver:
-    """A surface with the bodies of another one: its beads are other ones, or called otherwise."""
+    """The same bodies as another surface, but with different or renumbered beads."""
 
     surface: Surface
 
     def signed_distance(self, points: Array) -> Array:
-        """As of the surface."""
+        """As for the underlying surface."""
         return self.surface.signed_distance(points)
 
     def normals(self, points: Array) -> Array:
-        """As of the surface."""
+        """As for the underlying surface."""
         return self.surface.normals(points)
 
 
@@ -128,17 +128,17 @@ class Bead(ReadOnlyArrays):
     """One line of material, laid down without interruption.
 
     s         (n,)   arc length from the start, strictly increasing, s[0] = 0 [m]; the samples are
-                     uniform in the curve's parameter and draw together where it turns sharply
+                     uniform in the curve's parameter and closer together where it turns sharply
     points    (n, 3) nozzle tip, part frame [m]
     normals   (n, 3) unit surface normal, out of the part; the nozzle axis is its negative
-    roll_zero (n, 3) unit vector in the tangent plane from which roll about the normal is counted
+    roll_zero (n, 3) unit vector in the tangent plane from which roll about the normal is measured
     source    (m, 3) the input path before corners were rounded, same layer, part frame [m]
     width, height (n,) of the bead [m]
-    closed         the last point is the first one again (both are kept)
-    material       its name in process.materials; empty where they have no names
-    short_runs     whether run-in and run-out are as short as may be, where longer ones cannot be had
+    closed         the last point repeats the first (both are kept)
+    material       its name in process.materials; empty if they have no names
+    short_runs     whether run-in and run-out are as short as possible, because longer ones are infeasible
     round          a strut in space: its section is a circle, width and height are its diameter
-    speed          commanded [m/s]; None where it is the process's
+    speed          commanded [m/s]; None for the process's speed
     """
 
     name: str
@@ -162,18 +162,18 @@ class Bead(ReadOnlyArrays):
         return float(self.s[-1])
 
     def commanded(self, usual: float) -> float:
-        """Commanded speed [m/s], where the process's is `usual`."""
+        """Commanded speed [m/s]; `usual` is the process's."""
         return usual if self.speed is None else self.speed
 
 
 @dataclass(frozen=True)
 class Split:
-    """A place where a drawn bead goes on as another one after a pause.
+    """A place where a drawn bead is interrupted and continues as another bead.
 
     bead         index of the bead that begins there
     name, layer  of the drawn bead
     s            arc length along it [m]
-    why          in words
+    why          the reason, in words
     """
 
     bead: int
@@ -185,12 +185,12 @@ class Split:
 
 @dataclass(frozen=True)
 class Told:
-    """What the notes of a toolpath say in figures: by how much it is not its input.
+    """The figures in a toolpath's notes: how far it departs from its input.
 
     left_out  share of the source's length, or of a body's volume, that is not printed
     open      share of a body's volume that stays open between walls
-    held      share of what walls and infill ask for that beads hold
-    off       by how much beads lie off a file's facets, at most [m]; 0 where that is too little to be told
+    held      share of the volume required by walls and infill that beads hold
+    off       greatest distance of beads from a file's facets [m]; 0 if too small to report
     """
 
     left_out: float = 0.0
@@ -203,12 +203,16 @@ class Told:
 class Toolpath:
     """All beads in print order, and the surface they lie on.
 
-    shape  of a body to draw beneath them, if there is one
-    solid  (n, 3, 3) facets [m] of the whole body, where they are known exactly; else its shape stands for it
-    notes  sentences for the user: what was left out of the input, or changed in it
-    splits where drawn beads are laid in pieces
-    left_out  lines (n, 3) of what was drawn and is not printed [m], to be shown
-    told   the figures in the notes
+    Attributes:
+        beads: The beads, in print order.
+        surface: The surface on which the beads lie, part frame; its `before` gives it at each stage of the print.
+        shape: Body to draw beneath the beads, if there is one.
+        notes: Sentences for the user: what was left out of the input, or changed in it.
+        solid: Facets (n, 3, 3) [m] of the whole body, part frame, if they are known exactly; otherwise its shape stands
+            in for it.
+        splits: Where drawn beads are laid in pieces.
+        left_out: Lines (n, 3) that were drawn but are not printed [m], for display.
+        told: The figures in the notes.
     """
 
     beads: tuple[Bead, ...]
@@ -231,17 +235,27 @@ class Toolpath:
         height: ArrayLike | Sequence[ArrayLike] | None = None,
         unit: Literal["m", "mm"] | None = None,
     ) -> WaypointArrays:
-        """Waypoints from arrays, to be planned with `solve(load(problem, toolpath=...))`: they are laid as those of a file.
+        """Waypoints from arrays, to be planned with `solve(load(problem, toolpath=...))` like those from a file.
 
-        points   (n, 3) of the nozzle's tip, part frame, or a list of such arrays, one for each bead
-        normals  (n, 3) of the surface, out of the part, of any length, or one (3) for all; in a list as points
-        bead     (n) whole numbers: a bead ends where it changes; without it, where a step is longer than three median ones
-        layer    (n), or one for each bead of a list: whole numbers; without it, layers are found from where beads lie
-        width, height (n), one for each bead of a list, or one for all; without them, those of process.bead
-        unit     of points, width and height: "m" or "mm"; "m" if not given, but what is larger than 5 m has to say so
+        Corners are rounded, noise smoothed and crumbs left out as the problem's `process` and `layers.source` specify.
 
-        Corners are rounded, noise smoothed and crumbs left out as the problem's process and layers.source say.
-        Raises InputError that names argument, index and shape.
+        Args:
+            points: Positions (n, 3) of the nozzle tip, part frame, or a list of such arrays, one per bead.
+            normals: Normals (n, 3) of the surface, out of the part, of any length, or one (3,) for all; in a list if
+                points are.
+            bead: Integers (n,): a bead ends where they change; by default, where a step is longer than three median
+                steps. To be left out if points are given bead by bead.
+            layer: Integers (n,), or one per bead of a list; by default, layers are derived from where beads lie.
+            width: Widths (n,), one per bead of a list, or one for all; by default, that of `process.bead`.
+            height: Heights (n,), one per bead of a list, or one for all; by default, that of `process.bead`.
+            unit: Unit of points, width and height, "m" or "mm"; "m" by default, but required if the print is larger
+                than 5 m.
+
+        Returns:
+            The waypoints, in the part frame [m].
+
+        Raises:
+            InputError: If an argument does not fit; it names the argument, index and shape.
         """
         from planner.toolpath.waypoints.arrays import waypoints_of
 
@@ -264,10 +278,14 @@ class Toolpath:
 
     @property
     def lowest(self) -> tuple[Bead, ...]:
-        """The beads of the lowest layer of which any is printed: the first may be too narrow."""
+        """The beads of the lowest layer that has any: the first layer may be too narrow to print."""
         lowest = min(bead.layer for bead in self.beads)
         return tuple(bead for bead in self.beads if bead.layer == lowest)
 
     def layers_from(self, first: int) -> int:
-        """Number of layers that beads from index `first` on belong to."""
+        """Number of layers among the beads from an index on.
+
+        Args:
+            first: Index of the first bead that counts.
+        """
         return len({bead.layer for bead in self.beads[first:]}) if first else self.layers

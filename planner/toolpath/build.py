@@ -1,4 +1,4 @@
-"""From the problem's part and layers to a Toolpath: each kind of layers by its own source."""
+"""Builds a Toolpath from the problem's part and layers: each kind of layers has its own source."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.speeds import check_layers, with_speeds
 from planner.toolpath.workload import check_laid
 
-# Module and function of each source. Only that of the problem is loaded: what reads drawings, meshes and CAD files takes a
-# second together.
+# Module and function of each source. Only the problem's own is imported: together, the readers of drawings, meshes and
+# CAD files take a second to load.
 SOURCES: dict[type, tuple[str, str]] = {
     LayersSpec: ("wrapped", "wrap_drawing"),
     WrappedDxfSpec: ("wrapped", "wrap_drawing"),
@@ -58,9 +58,9 @@ ORDERS = (*SEAMS, CoreLayersSpec)  # those whose beads may be laid in any order
 def build_toolpath(problem: Problem) -> Toolpath:
     """Read the source, round its corners and lay its beads in print order.
 
-    Beads to which their source gives no material are of the layers' own.
-    Raises InputError for a file that cannot be read, for a drawing that does not fit on the part, for layers and beads that
-    the process names and that there are not, and for what is too much to plan.
+    Beads without a material from their source get the layers' own.
+    Raises InputError for a file that cannot be read, a drawing that does not fit on the part, layers or beads that the
+    process names but that do not exist, and anything too large to plan.
     """
     check_arrangement(problem)
     module, name = SOURCES[type(problem.layers)]
@@ -68,13 +68,13 @@ def build_toolpath(problem: Problem) -> Toolpath:
     toolpath = source(problem, problem.layers)
     drawn = len(toolpath.beads)
     if (spec := problem.process.skirt) is not None:
-        from planner.toolpath.skirt import with_skirt  # with shapely, which is slow to import
+        from planner.toolpath.skirt import with_skirt  # imports shapely, which is slow
 
         toolpath = with_skirt(problem, toolpath, spec)
     check_laid(problem, toolpath)
     check_layers(problem, toolpath)
     if problem.process.interlayer_time is not None:
-        from planner.toolpath.interlayer import with_interlayer_order  # of no use to others
+        from planner.toolpath.interlayer import with_interlayer_order  # loaded only if needed
 
         toolpath = with_interlayer_order(problem, toolpath, len(toolpath.beads) - drawn)
     toolpath = on_what_is_printed(problem, toolpath)
@@ -88,8 +88,8 @@ def build_toolpath(problem: Problem) -> Toolpath:
 
 
 def check_arrangement(problem: Problem) -> None:
-    """Raise the InputError of a seam or an order of beads that their source has already."""
+    """Raise InputError for a seam or an order of beads that the source already fixes."""
     for key, given, sources in (("seam", problem.process.seam, SEAMS), ("order", problem.process.order, ORDERS)):
         if given and not isinstance(problem.layers, sources):
-            reason = "where closed beads begin stands" if key == "seam" else "the order of beads stands"
-            raise problem.error(f"process.{key}", f"{reason} in this source already", "leave it out")
+            reason = "where closed beads begin is fixed" if key == "seam" else "the order of beads is fixed"
+            raise problem.error(f"process.{key}", f"{reason} by this source already", "leave it out")

@@ -1,9 +1,9 @@
-"""Which places of beads lie on which places of others, as the toolpath draws them: what ages between layers are foreseen from.
+"""Which places of beads lie on which others, as the toolpath draws them; ages between layers are predicted from this.
 
-A place looks down its normal by its bead's height. What is nearest there of the layers before it is what it lies on, and so is
-whatever is about as near, since the executed motion may be nearer to that. A bead that only crosses here, or the other end of a
-closed bead, does not count. The verifier finds anew, from the motion, what each place lies on.
-Where one bead rises over itself, it lies on its own earlier turn. Struts lie on nothing.
+From each place, a point one bead height down its normal is compared with earlier layers. The place lies on the nearest
+place there, and on any about as near, since the executed motion may be nearer to those. A bead that only crosses here,
+or the other end of a closed bead, does not count. The verifier determines again, from the motion, what each place lies
+on. Where one bead rises over itself, it lies on its own earlier turn. Struts lie on nothing.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.toolpath.bead import Bead
 
-_STEP = 0.25  # bead's widths from place to place
-_BESIDE = 0.8  # bead's widths from the line of the bead below; the verifier looks less far
-_OFF = 0.8  # bead's heights by which the bead below may lie higher or lower than one height down; the same
-_OWN = 0.5  # likewise of the bead's own layer
-_AS_NEAR = 0.2  # bead's widths by which a place may be farther than the nearest one and count all the same
-_BOTH_SIDES = (-2, -1, 1, 2)  # places along a bead that are asked what they lie on
-_ALONG = 3.0  # steps by which that may be farther along than theirs
-_NEAREST = 8  # places looked at: three of each of two beads that are as near, and two more
+_STEP = 0.25  # × bead width: spacing of places
+_BESIDE = 0.8  # × bead width: greatest distance from the line of the bead below; the verifier allows less
+_OFF = 0.8  # × bead height: how far above or below one height down the bead below may be; the verifier allows less
+_OWN = 0.5  # likewise within the bead's own layer
+_AS_NEAR = 0.2  # × bead width: a place this much farther than the nearest one still counts
+_BOTH_SIDES = (-2, -1, 1, 2)  # neighbouring places along a bead whose contacts are compared
+_ALONG = 3.0  # steps by which contacts of neighbouring places may be farther apart than these, along their beads
+_NEAREST = 8  # places examined: three on each of two equally near beads, and two more
 
 
 @dataclass(frozen=True)
 class BeadContacts(ReadOnlyArrays):
-    """Places (k) that lie on others, in the order of pairs of beads.
+    """Places (k) that lie on others, sorted by pairs of beads.
 
     upper, lower (k)   indices of the beads
-    at, below (k)      arc length of both places along their beads [m]
-    around, beneath (k)  the way to the next place along each: what lies between is not looked at [m]
+    at, below (k)      arc lengths of the upper and the lower place along their beads [m]
+    around, beneath (k)  distance to the next place along each; nothing in between is examined [m]
     """
 
     upper: Ints
@@ -61,7 +61,7 @@ class BeadContacts(ReadOnlyArrays):
         return np.column_stack([self.upper[self.first], self.lower[self.first]])
 
     def extremes(self, values: Array) -> tuple[Array, Array]:
-        """The least and the greatest (p) of values (k) within each pair."""
+        """The smallest and the greatest (p) of values (k) within each pair."""
         if not len(self):
             return np.empty(0), np.empty(0)
         return np.minimum.reduceat(values, self.first), np.maximum.reduceat(values, self.first)
@@ -69,8 +69,8 @@ class BeadContacts(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class _BeadPlaces:
-    """Places (k) along beads: bead, layer, arc length `s` and the way to the next place [m]; tip, and one bead's height
-    beneath it (k, 3); normal (k, 3); width and height (k) [m]."""
+    """Places (k) along beads: bead, layer, arc length `s` and distance to the next place [m]; tip, and the point one
+    bead height down from it (k, 3); normal (k, 3); width and height (k) [m]."""
 
     bead: Ints
     layer: Ints
@@ -84,7 +84,7 @@ class _BeadPlaces:
 
 
 def contacts(beads: Sequence[Bead]) -> BeadContacts:
-    """Which places of beads lie on which: both ends of each bead, and places a quarter of a width apart."""
+    """Which places lie on which: both ends of each bead and places up to a quarter width apart."""
     places = _places([(i, bead) for i, bead in enumerate(beads) if not bead.round])
     if places is None:
         none, no = np.empty(0, dtype=np.int64), np.empty(0)
@@ -117,7 +117,7 @@ def contacts(beads: Sequence[Bead]) -> BeadContacts:
 
 
 def _places(beads: Sequence[tuple[int, Bead]]) -> _BeadPlaces | None:
-    """Places along beads with their numbers; None without any."""
+    """Places along beads, given with their numbers; None if there are no beads."""
     if not beads:
         return None
     counts = [int(np.ceil(bead.length / (_STEP * float(bead.width.min())))) + 1 for _, bead in beads]
@@ -145,7 +145,7 @@ def _places(beads: Sequence[tuple[int, Bead]]) -> _BeadPlaces | None:
 
 
 def _beneath(places: _BeadPlaces, left: Ints, rows: Ints, tree: cKDTree, reach: float, off: float) -> tuple[Ints, Ints]:
-    """Places of `left` that lie on places of a layer, which are `rows`, and these: for each the nearest and all as near."""
+    """Places of `left` that lie on places `rows` of a layer, paired with the nearest of these and all about as near."""
     away, near = tree.query(places.down[left], k=min(_NEAREST, len(rows)), distance_upper_bound=reach)
     away, near = away.reshape(len(left), -1), near.reshape(len(left), -1)
     as_near = np.isfinite(away) & (away <= away[:, :1] + _AS_NEAR * places.width[left, None])
@@ -159,8 +159,11 @@ def _beneath(places: _BeadPlaces, left: Ints, rows: Ints, tree: cKDTree, reach: 
 
 
 def _kept_along(places: _BeadPlaces, one: Ints, other: Ints) -> tuple[Ints, Ints]:
-    """Of pairs (m) of a place and one that it lies on those that go on along the bead: where a place lies on several others that
-    are far from each other along their beads, these count that half of the places beside it lie on, too."""
+    """Keep the contacts, pairs (m) of a place and one it lies on, that continue along the bead.
+
+    If a place lies on several others that are far apart along their beads, only those count that at least half of the
+    neighbouring places lie on, too.
+    """
     order = np.lexsort((other, one))
     one, other = one[order], other[order]
     if not len(one):
@@ -183,6 +186,6 @@ def _kept_along(places: _BeadPlaces, one: Ints, other: Ints) -> tuple[Ints, Ints
     lone = doubtful[2.0 * agree < known]
     kept = np.ones(len(one), dtype=bool)
     kept[lone] = False
-    none_left = np.add.reduceat(kept, first) == 0  # then all count
+    none_left = np.add.reduceat(kept, first) == 0  # then all of them count
     kept |= none_left[which]
     return one[kept], other[kept]

@@ -1,4 +1,4 @@
-"""Beads sampled more finely where a plan leaves its path between samples, as path or normal turn quickly there."""
+"""Samples beads more finely where a plan leaves its path between samples because path or normal turn quickly."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from planner.toolpath.plane_paths import SampleDensity
 _DEGREE = 5
 _REASON = ": the nozzle would leave path or normal between samples"
 _FINER = 3.0  # times as many samples at a place that is off
-_AROUND = 6.0  # samples to either side over which they draw together
-_APART = 1.5  # times that: least distance between two such places
-_MOST_PLACES = 0.25  # share of a bead's samples near such places above which the whole bead is sampled finer
+_AROUND = 6.0  # samples to either side over which they are closer together
+_APART = 1.5  # × _AROUND: least distance between two such places
+_MOST_PLACES = 0.25  # share of a bead's samples near such places above which the whole bead is sampled more finely
 _FINER_ALL_ALONG = 2.0
 
 
 def sampled_finer(toolpath: Toolpath, places: Mapping[int, Array]) -> Toolpath:
-    """The toolpath with more samples of some beads (by index): around arc lengths (k) [m], in order. A note tells so."""
+    """The toolpath with more samples on some beads (by index), around sorted arc lengths (k) [m]; a note says so."""
     beads = [
         _finer(i, bead, toolpath.surface, places[i]) if i in places else bead for i, bead in enumerate(toolpath.beads)
     ]
@@ -32,7 +32,7 @@ def sampled_finer(toolpath: Toolpath, places: Mapping[int, Array]) -> Toolpath:
 
 
 def _finer(number: int, bead: Bead, surface: Surface, places: Array) -> Bead:
-    """A bead sampled anew: the curve through its samples, with the normals that the surface has there."""
+    """A bead resampled along the curve through its samples, with the surface's normals there."""
     n = len(bead.s)
     index = np.arange(n, dtype=float)
     at = _apart(np.interp(places, bead.s, index), _APART * _AROUND)
@@ -60,7 +60,7 @@ def _finer(number: int, bead: Bead, surface: Surface, places: Array) -> Bead:
 
 
 def _apart(places: Array, least: float) -> Array:
-    """Of places in order those that are at least so far from the one taken before."""
+    """Thin out sorted places: each one kept is at least `least` from the one kept before."""
     taken = [float(places[0])]
     for place in places[1:]:
         if place - taken[-1] >= least:

@@ -1,4 +1,4 @@
-"""What a problem's drawing will make, before any corner is rounded: to know it takes as long as to read the drawing."""
+"""Predicts the workload of a problem's drawing before corners are rounded, in the time it takes to read the drawing."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from planner.toolpath.workload import Workload, balls_beside, check_curves, samp
 
 
 def foreseen(problem: Problem) -> Workload | None:
-    """The workload of plane curves in all their layers, about; None of what comes from elsewhere. Raises InputError for a
-    drawing that cannot be read, and for more than is planned."""
+    """Approximate workload of plane curves in all their layers; None for other sources.
+
+    Raises InputError for a drawing that cannot be read or is too large to plan.
+    """
     spec = problem.layers
     if isinstance(spec, LayersSpec | WrappedDxfSpec):
         from planner.toolpath.wrapped import drawn_paths

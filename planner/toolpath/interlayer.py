@@ -1,12 +1,12 @@
-"""The order of beads within layers, so that what lies below has the age that the process asks for when it is laid on.
+"""Orders beads within layers so that the material below has the required age when the next bead is laid on it.
 
-Where every layer is laid in the order and the direction of the one before, each place is as old as a layer takes when the
-next bead comes to lie on it. The order that travels least turns about at each layer instead: then ages go from nothing to
-twice that. Neither is always best, so orders are compared by what the window makes of them: when their last bead is laid,
-with the waits that the least age asks for, and by how much places would be too old.
+If every layer is laid in the order and direction of the one before, each place is one layer time old when the next bead
+is laid on it. The order that travels least reverses at each layer instead: ages then range from zero to twice that.
+Neither is always best, so orders are compared by how they suit the window: when their last bead is finished, including
+the waits for the least age, and by how much places would be too old.
 
-Times are estimates here: length over commanded speed, and a usual time from bead to bead. How long is waited is decided when
-the motion is timed (`planner.motion.interlayer`).
+Times here are estimates: length over commanded speed, and a typical time from bead to bead. The actual waits are set
+when the motion is timed (`planner.motion.interlayer`).
 """
 
 from __future__ import annotations
@@ -29,25 +29,26 @@ from planner.toolpath.runs import least_travel_time
 from planner.toolpath.speeds import commanded_speeds
 
 AS_THE_FILE_SAYS = (GcodeLayersSpec, WaypointLayersSpec)  # sources whose beads are laid in their own order
-_WALLS_FIRST = ("*wall*",)  # of a filled mesh, where no order is asked for
-_TO_TRAVEL = 0.16  # s beside runs and the way itself: to speed up, lift, and slow down
-_BY_HOME = 3.0  # s to go home for another material, and come back
-_TOO_OLD = 1e3  # s of print that a second too old is worth
-_OUT_OF_ORDER = 1e6  # s that a bead before its rank is worth
-_MOST_SEARCHED = 60  # beads of a layer up to which orders are improved bead by bead
-_ROUNDS = 60  # of improvements
-_LITTLE = 0.01  # of a layer's time: an order that loses less is not improved
-_GAIN = 1e-6  # s that an improvement gains at least
-_BINS = 4.0  # bead's widths in which beads are taken together for the bound
-_SURE = 0.99  # of the bound: places are counted a quarter of a width apart
+_WALLS_FIRST = ("*wall*",)  # default order of a filled mesh
+_TO_TRAVEL = 0.16  # s, besides the runs and the distance itself: to speed up, lift and slow down
+_BY_HOME = 3.0  # s to go home for another material and come back
+_TOO_OLD = 1e3  # s of print time that each second of excess age costs
+_OUT_OF_ORDER = 1e6  # s of print time that each bead before its rank costs
+_MOST_SEARCHED = 60  # beads: orders of larger layers are not improved bead by bead
+_ROUNDS = 60  # of improvement at most
+_LITTLE = 0.01  # × a layer's time: an order that loses less is not improved
+_GAIN = 1e-6  # s: least gain that counts as an improvement
+_BINS = 4.0  # × bead width: bins along lower beads for the lower bound on age
+_SURE = 0.99  # × the bound: it is computed from places a quarter of a width apart
 
 
 def with_interlayer_order(problem: Problem, toolpath: Toolpath, fixed: int = 0) -> Toolpath:
-    """The toolpath whose layers are laid in such an order that ages stay within the window; as it is where none is asked for,
-    and where the source's own order stands.
+    """Order the beads of each layer so that ages stay within the window.
 
-    fixed: so many beads come first whatever is asked for.
-    Raises InputError for struts, which lie on no layer, and for a window that no order of the beads can hold.
+    The order is unchanged if no window is given, or if the source fixes it.
+
+    fixed: number of beads that always come first
+    Raises InputError for struts, which lie on no layer, and for a window that no order of the beads can satisfy.
     """
     process, spec = problem.process, problem.process.interlayer_time
     if spec is None:
@@ -68,19 +69,19 @@ def with_interlayer_order(problem: Problem, toolpath: Toolpath, fixed: int = 0) 
 
 
 def _blocks(beads: Sequence[Bead], fixed: int) -> list[range]:
-    """Beads of one layer that come one after another; the first `fixed` of all stand apart."""
+    """Ranges of consecutive beads of one layer; the first `fixed` beads are kept separate."""
     edges = [0, *(i for i in range(1, len(beads)) if i == fixed or beads[i].layer != beads[i - 1].layer), len(beads)]
     return [range(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
 
 # ----------------------------------------------------------------------------------------------------
-# What takes how long, about.
+# Estimated times.
 
 
 @dataclass(frozen=True)
 class _Estimate:
-    """Of beads (k): how long they take to lay [s], their speed [m/s], both ends (k, 2, 3) [m], rank and material; and what
-    all travel is estimated from."""
+    """Beads (k): their length [m], speed [m/s], both ends (k, 2, 3) [m], rank and material; and the process, from which
+    travel is estimated."""
 
     process: ProcessSpec
     length: Array
@@ -91,11 +92,11 @@ class _Estimate:
 
     @staticmethod
     def of(problem: Problem, toolpath: Toolpath, speeds: Array) -> _Estimate:
-        """Of a toolpath whose beads are laid at speeds (k) [m/s]."""
+        """The estimate for a toolpath whose beads are laid at speeds (k) [m/s]."""
         process, beads = problem.process, toolpath.beads
         own = problem.layers.material or next(iter(process.materials), "")
         names = [bead.material or own for bead in beads]
-        filled = isinstance(problem.layers, VolumeLayersSpec) and len(set(names)) == 1  # else lines may come first, too
+        filled = isinstance(problem.layers, VolumeLayersSpec) and len(set(names)) == 1  # else lines may come first
         patterns = process.order or (_WALLS_FIRST if filled else ())
         return _Estimate(
             process,
@@ -108,12 +109,14 @@ class _Estimate:
 
     @property
     def time(self) -> Array:
-        """How long beads (k) are laid [s]."""
+        """Time to lay each bead (k) [s]."""
         return self.length / self.speed
 
     def travel(self, before: Ints, after: Ints) -> Array:
-        """How long it takes (...) [s] from the end of beads `before` to the start of those `after` (...), both as numbers of
-        directed beads: twice the bead's, and one more where it runs backwards."""
+        """Time (...) [s] from the end of beads `before` (...) to the start of beads `after` (...).
+
+        Both are numbers of directed beads: twice the bead's, plus one if it runs backwards.
+        """
         start, end = self.ends[after // 2, after % 2], self.ends[before // 2, 1 - before % 2]
         way = np.linalg.norm(end - start, axis=-1) / self.process.travel_speed
         runs = self.process.run_in * (1.0 / self.speed[before // 2] + 1.0 / self.speed[after // 2])
@@ -122,7 +125,7 @@ class _Estimate:
         return np.asarray(time + np.where(change, self.process.change.time + _BY_HOME, 0.0))
 
     def travel_within(self, block: range) -> Callable[[Ints, Ints], Array]:
-        """The same of a block's directed beads by their numbers in it; looked up where orders will be compared."""
+        """The same for a block's directed beads, numbered within it; tabulated if orders will be compared."""
         first = 2 * block.start
         if len(block) > _MOST_SEARCHED:
             return lambda before, after: self.travel(first + before, first + after)
@@ -131,7 +134,7 @@ class _Estimate:
         return lambda before, after: np.asarray(table[before, after])
 
     def when(self, bead: Ints, s: Array, turned: Flags) -> Array:
-        """How long (m) after its start a bead is laid at arc length s (m) [s]."""
+        """Time (m) [s] from a bead's start until it is laid at arc length s (m) [m]."""
         return np.where(turned, self.length[bead] - s, s) / self.speed[bead]
 
 
@@ -141,13 +144,13 @@ class _Estimate:
 
 @dataclass(frozen=True)
 class _OneLayer:
-    """What decides the order of a layer's beads (n), of which there are two directed ones each: 2 b, and backwards 2 b + 1.
+    """What decides the order of a layer's beads (n); bead b is two directed ones: 2 b, and 2 b + 1 backwards.
 
     time (2n)                how long each takes [s]
-    travel, to (2n)          how long it takes from some to others, and to the first one [s]
-    earliest, latest (2n)    when each may begin at the earliest, and is to begin at the latest [s]
+    travel, to (2n)          travel time from some to others, and to each as the first one [s]
+    earliest, latest (2n)    when each may begin at the earliest, and should begin at the latest [s]
     rank (2n)
-    begin                    when the bead before has been laid [s]
+    begin                    when the previous bead is finished [s]
     """
 
     time: Array
@@ -159,7 +162,7 @@ class _OneLayer:
     begin: float
 
     def starts(self, rows: Ints) -> Array:
-        """When (c, n) each directed bead of some orders (c, n) begins [s]."""
+        """Start times (c, n) [s] of the directed beads in orders (c, n)."""
         out = np.empty(rows.shape)
         ways = np.column_stack([self.to[rows[:, 0]], self.travel(rows[:, :-1], rows[:, 1:])])
         now = np.full(len(rows), self.begin)
@@ -169,7 +172,7 @@ class _OneLayer:
         return out
 
     def costs(self, rows: Ints) -> Array:
-        """What orders (c, n) cost [s]: when their last bead ends, places that are too old, and beads before their rank."""
+        """Costs (c) of orders (c, n) [s]: end of the last bead, plus penalties for excess age and beads out of rank."""
         starts = self.starts(rows)
         old = np.maximum(starts - self.latest[rows], 0.0).sum(axis=1)
         wrong = (np.diff(self.rank[rows], axis=1) < 0).sum(axis=1)
@@ -179,9 +182,9 @@ class _OneLayer:
 def _arranged(
     estimate: _Estimate, touching: BeadContacts, blocks: Sequence[range], spec: InterlayerTimeSpec
 ) -> tuple[Ints, Flags]:
-    """The beads in the order in which they are laid, and which of them (by their number) run backwards."""
+    """The order in which beads are laid, and which of them (by number) run backwards."""
     order, turned = np.empty(0, dtype=np.int64), np.zeros(len(estimate.length), dtype=bool)
-    start = np.full(len(estimate.length), np.nan)  # of the beads that have their place
+    start = np.full(len(estimate.length), np.nan)  # of the beads placed so far
     last, now = -1, 0.0
     for block in blocks:
         both = np.arange(2 * block.start, 2 * block.stop)
@@ -205,12 +208,12 @@ def _arranged(
 
 @dataclass(frozen=True)
 class _Beneath:
-    """What lies beneath a block's beads (n), of which there are two directed ones each: 2 b, and backwards 2 b + 1.
+    """What lies beneath a block's beads (n); bead b is two directed ones: 2 b, and 2 b + 1 backwards.
 
-    earliest, latest (2n)  when each may begin at the earliest, and is to begin at the latest [s]
-    age (n)                when what a bead follows in step was laid, on an average, counted from the bead's own beginning [s];
-                           not a number where it lies on nothing
-    back (n)               whether it is in step backwards
+    earliest, latest (2n)  when each may begin at the earliest, and should begin at the latest [s]
+    age (n)                when the material that a bead follows in step was laid: mean, each time less what the bead
+                           itself takes to get there [s]; NaN if it lies on nothing
+    back (n)               whether it is in step when it runs backwards
     """
 
     earliest: Array
@@ -222,7 +225,7 @@ class _Beneath:
 def _beneath(
     estimate: _Estimate, touching: BeadContacts, block: range, start: Array, turned: Flags, spec: InterlayerTimeSpec
 ) -> _Beneath:
-    """What lies beneath a block, where beads that have their place begin at `start` (k) [s], some of them `turned` (k)."""
+    """What lies beneath a block; beads placed so far begin at `start` (k) [s], some of them `turned` (k)."""
     n = len(block)
     rows = np.arange(*np.searchsorted(touching.upper, [block.start, block.stop]))
     rows = rows[~np.isnan(start[touching.lower[rows]])]
@@ -244,8 +247,10 @@ def _beneath(
 
 
 def _best(layer: _OneLayer, beneath: _Beneath) -> Ints:
-    """The order of directed beads (n) that costs least, of the source's, the same backwards, and the one in step with what is
-    below, each improved as long as there is something to gain."""
+    """The cheapest order of directed beads (n): the source's, its reverse, or the one in step with the layer below.
+
+    If there is enough to gain and the layer is small enough, all three are improved first.
+    """
     n = len(layer.time) // 2
     source = 2 * np.arange(n)
     plans = [source, source[::-1] + 1, _in_step(layer, beneath)]
@@ -258,8 +263,10 @@ def _best(layer: _OneLayer, beneath: _Beneath) -> Ints:
 
 
 def _in_step(layer: _OneLayer, beneath: _Beneath) -> Ints:
-    """Directed beads (n) in the order in which what is below them was laid, by rank; those on nothing behind the one that comes
-    before them in the source."""
+    """Directed beads (n), by rank, in the order in which the material below them was laid.
+
+    A bead on nothing comes after the one before it in the source.
+    """
     known = ~np.isnan(beneath.age)
     before = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
     key = np.where(before >= 0, beneath.age[before], -np.inf)
@@ -268,7 +275,7 @@ def _in_step(layer: _OneLayer, beneath: _Beneath) -> Ints:
 
 
 def _improved(layer: _OneLayer, row: Ints) -> Ints:
-    """An order (n) from which no bead that is turned round or moved, and no stretch that is turned round, gains anything."""
+    """Improve an order (n) until no reversal of a bead or stretch, and no move of a bead, gains anything."""
     cost = layer.costs(row[None])[0]
     places, turned = _moves(len(row))
     for _ in range(_ROUNDS):
@@ -283,8 +290,10 @@ def _improved(layer: _OneLayer, row: Ints) -> Ints:
 
 @lru_cache(maxsize=8)
 def _moves(n: int) -> tuple[Ints, Ints]:
-    """Orders (c, n) beside one of n beads, as its places, and 1 where the bead is turned round: a stretch run backwards, or a
-    bead at another place, either way round."""
+    """Neighbours (c, n) of an order of n beads: indices into it, and 1 where the bead is reversed.
+
+    In a neighbour, a stretch is reversed, or one bead is moved elsewhere, in either direction.
+    """
     places: list[Ints] = []
     turned: list[Ints] = []
     row, none = np.arange(n), np.zeros(n, dtype=np.int64)
@@ -301,13 +310,13 @@ def _moves(n: int) -> tuple[Ints, Ints]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# A window that no order can hold.
+# A window that no order can satisfy.
 
 
 def _check_most(
     problem: Problem, toolpath: Toolpath, touching: BeadContacts, blocks: Sequence[range], speeds: Array, most: float
 ) -> None:
-    """Raise the InputError of a greatest age that places exceed on an average, whatever their order."""
+    """Raise InputError if places exceed the greatest age on average, whatever their order."""
     worst, where = 0.0, 0
     block_of = np.repeat(np.arange(len(blocks)), [len(block) for block in blocks])
     pauses = {pause.before_layer - 1: pause.time for pause in problem.process.pauses}
@@ -315,7 +324,7 @@ def _check_most(
         rows = np.arange(*np.searchsorted(touching.upper, [block.start, block.stop]))
         order = rows[np.lexsort((touching.at[rows], touching.upper[rows]))]
         again = (np.diff(touching.upper[order]) == 0) & (np.diff(touching.at[order]) == 0.0)
-        rows = order[np.append(True, ~again)[: len(order)]]  # one below each place
+        rows = order[np.append(True, ~again)[: len(order)]]  # one contact of each place
         beneath = block_of[touching.lower[rows]]
         for j in np.unique(beneath[beneath < k]).tolist():
             layer = toolpath.beads[block.start].layer
@@ -323,21 +332,19 @@ def _check_most(
             worst, where = (age, layer) if age > worst else (worst, where)
     if _SURE * worst > most:
         reason = (
-            f"is {most:g} s, and places below layer {where + 1} are {worst:.1f} s old on an average when they are laid on, "
-            "in whatever order beads are laid"
+            f"is {most:g} s, and places below layer {where + 1} are {worst:.1f} s old on average when beads are laid on them, "
+            "whatever the order of beads"
         )
-        hint = (
-            f"at least {np.ceil(worst * 10.0) / 10.0:g} and what travel takes, a higher speed_mm_s, or less in a layer"
-        )
+        hint = f"at least {np.ceil(worst * 10.0) / 10.0:g} plus the time for travel, a higher speed_mm_s, or less in a layer"
         raise problem.error("process.interlayer_time.most_s", reason, hint)
 
 
 def _mean_age(touching: BeadContacts, rows: Ints, toolpath: Toolpath, speeds: Array) -> float:
-    """The least mean age [s] that places (m) of one layer can have, which lie on another one, without any travel.
+    """Lower bound on the mean age [s] of one layer's places (m) when another layer is laid on them, without travel.
 
-    The later half of what is below cannot all be laid last, nor the earlier half of what is above first: the mean time of
-    the places above is half of what they take behind the layer's beginning at least, and that of the places below, each
-    counted as often as it is laid on, as far before the layer's end as if the ones counted most often came last.
+    Places below cannot all be laid last, nor those above first. On average, those above come at least half of their
+    total time after their layer begins. Those below, weighted by how often they are laid on, come at least as long
+    before their layer ends as if the ones with the most weight came last.
     """
     upper, lower = touching.upper[rows], touching.lower[rows]
     lengths = np.array([bead.length for bead in toolpath.beads])
@@ -360,7 +367,7 @@ def _mean_age(touching: BeadContacts, rows: Ints, toolpath: Toolpath, speeds: Ar
 
 
 def _in_this_order(toolpath: Toolpath, order: Ints, turned: Flags) -> Toolpath:
-    """The toolpath with its beads in an order, some of them run backwards; a note tells how many layers that changes."""
+    """The toolpath with its beads in the given order, some reversed; a note says how many layers this changes."""
     moved = (order != np.arange(len(order))) | turned[order]
     if not moved.any():
         return toolpath
@@ -369,12 +376,12 @@ def _in_this_order(toolpath: Toolpath, order: Ints, turned: Flags) -> Toolpath:
     surface = ArrangedSurface(toolpath.surface, order, np.where(turned[order], length, np.nan))
     count = len({beads[i].layer for i in np.flatnonzero(moved).tolist()})
     layers = "1 layer is" if count == 1 else f"{count} layers are"
-    note = f"{layers} laid in another order or direction than travels least, so that ages stay within process.interlayer_time"
+    note = f"{layers} laid in an order or direction other than that of least travel, so that ages stay within process.interlayer_time"
     return replace(toolpath, beads=beads, surface=surface, notes=(*toolpath.notes, note))
 
 
 def _turned(bead: Bead) -> Bead:
-    """The same bead, run backwards."""
+    """The bead run backwards."""
     backwards = {
         name: getattr(bead, name)[::-1].copy()
         for name in ("points", "normals", "roll_zero", "source", "width", "height")
@@ -386,17 +393,17 @@ def _turned(bead: Bead) -> Bead:
 class ArrangedSurface(ReadOnlyArrays, SurfaceOver):
     """The surface beneath a toolpath whose layers are laid in another order.
 
-    origin (k)  number that each bead had;  turned (k)  its length where it runs backwards [m], else not a number
+    origin (k)  number that each bead had;  turned (k)  its length if it runs backwards [m], otherwise NaN
     """
 
     origin: Ints
     turned: Array
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Normals on which a bead is laid."""
+        """Normals beneath a bead."""
         length = float(self.turned[bead])
         return self.surface.normals_on(int(self.origin[bead]), s if np.isnan(length) else length - s, tips)
 
     def before(self, bead: int) -> Surface:
-        """The surface when so many beads have been printed: it knows of whole layers, and each is still in its place."""
+        """The surface after so many beads: it knows whole layers only, and these have kept their place."""
         return self.surface.before(bead)

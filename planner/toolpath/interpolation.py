@@ -1,8 +1,8 @@
 """A smooth curve through waypoints: exact where they are smooth, rounded where they turn a corner.
 
 Between corners a spline of degree 5 in chord length passes through every waypoint, points and normals alike. At a
-corner it is averaged with a kernel just wide enough to use the tolerance. Samples stand as far apart as the waypoints
-and draw together at corners; their arc length is a smooth function of their index.
+corner it is averaged with a kernel just wide enough to use the tolerance. Samples are as far apart as the waypoints,
+closer at corners; their arc length is a smooth function of their index.
 """
 
 from __future__ import annotations
@@ -19,45 +19,45 @@ from planner.base.arrays import Array
 from planner.base.geometry import angles_between, arc_lengths, subdivided
 from planner.toolpath.plane_paths import SampleDensity
 
-CORNER_TURN = np.radians(30.0)  # at one waypoint: a circle with fewer than twelve of them has corners
+CORNER_TURN = np.radians(30.0)  # at one waypoint; more is a corner: a circle of fewer than twelve waypoints has corners
 _DEGREE = 5
-# The kernel (1 - x^2)^4 (1 - SWING x^2) has negative sides: the curve swings out before a corner, where the tolerance
-# would lie idle, and turns with a quarter of the jerk that SWING = 0 has at the same tolerance.
+# The kernel (1 - x^2)^4 (1 - SWING x^2) has negative lobes: the curve swings out before a corner, where the tolerance
+# would otherwise be unused, and turns with a quarter of the jerk of SWING = 0 at the same tolerance.
 _SWING = 5.0
-_CUT = 0.0752  # of the kernel's half width: what it cuts from a corner, per unit of the jump in direction
-_WIDEST = 25.0  # half width of the kernel, in tolerances
-_CELLS = 48  # grid cells in half the kernel's width
-_SAMPLES = 20.0  # in half the kernel's width, at the corner
+_CUT = 0.0752  # × the kernel's half width and half the jump in direction: what it cuts off a corner
+_WIDEST = 25.0  # × the tolerance: greatest half width of the kernel
+_CELLS = 48  # grid cells per half width of the kernel
+_SAMPLES = 20.0  # per half width of the kernel, at the corner
 _TRIES = 12  # to find the width that uses the tolerance
-_NEARLY, _AIM = 0.94, 0.98  # shares of the tolerance: from this on enough is used; aimed at
-_USED = 0.9  # of the tolerance: the rest is for the curve between samples
-_SPREAD = 0.7  # kernel widths from a corner at which the density of samples has halved
-_SPARSE = 1.5  # usual distances of waypoints: an end where they stand this far apart is judged by its own
-_ENDS = 2.0  # usual distances of samples over which they draw together at the ends
-_CHORD = 2e-6  # m, by how much the source may leave the curve through the waypoints
+_NEARLY, _AIM = 0.94, 0.98  # shares of the usable tolerance: enough from here on; target
+_USED = 0.9  # × the tolerance: the rest is for the curve between samples
+_SPREAD = 0.7  # × the kernel's half width: distance from a corner at which the density of samples has halved
+_SPARSE = 1.5  # × the usual waypoint distance: ends where samples are farther apart are judged by their own distance
+_ENDS = 2.0  # × the usual sample distance: how far from the ends samples are closer together
+_CHORD = 2e-6  # m: greatest deviation of the source from the curve through the waypoints
 _CORNER_STEP = 2e-4  # m, between the source's points where a corner is rounded
-_FEWEST = 8  # samples of a bead
-_SWING_OUT = 0.15  # of a step: a curve between two waypoints leaves their chord by less, on a circle by 0.07 at most
-_STILL = 2e-5  # m, and 0.1 of a normal: scans wiggle by half of that, and less does no harm, however short the step
-_STILL_NORMAL = 0.1
-_LOOKS = np.linspace(0.0, 1.0, 7)[1:-1]  # places within a step where that is looked at
-_DENSER = 4.0  # times as long as those beside it: from there on a step is looked at for where they lead
+_FEWEST = 8  # samples of a bead at least
+_SWING_OUT = 0.15  # × the step: a curve between two waypoints leaves their chord by less, on a circle by 0.07 at most
+_STILL = 2e-5  # m: scans wiggle by half of this, and less does no harm, however short the step
+_STILL_NORMAL = 0.1  # of a unit normal, likewise
+_LOOKS = np.linspace(0.0, 1.0, 7)[1:-1]  # places within a step where that is checked
+_DENSER = 4.0  # × the length of its neighbours: from here on, a step is compared with where they lead
 _MOST_CELLS = 8_000_000  # of a grid on which corners are averaged: some 2 GB
-_RESOLVED = 1e-5  # m, third difference of the direction, times the step: below, a sample a waypoint is enough
-_MOST_PER_STEP = 4.0  # samples
-# Waypoints that stand so close together tell nothing that those farther apart do not; joints by the millimetre that are
-# known no better than to some digits have no third derivatives over such steps, and the print would be slow by their noise.
-_TOO_DENSE, _ENOUGH = 1e-4, 2.5e-4  # m, usual distance of waypoints; distance of samples that is enough then
-_SHAKY = 0.05  # third difference of normals from which on they count as rough
-_BESIDE = 8  # waypoints from an end that are beside it
-_LESS = 1.0 - 1e-6  # share of a distance below which another one counts as less
-_ORDER = 3  # of the difference by which normals are seen to be rough
-_RESOLVED_NORMAL = 2e-3  # third difference of normals below which a sample a waypoint is enough
-_LOOSEST = 6.0  # times the distance that sets passes apart: sparser, a place's nearest sample is on another pass
+_RESOLVED = 1e-5  # m, third difference of the direction times the step: below, one sample per waypoint is enough
+_MOST_PER_STEP = 4.0  # samples at most
+# Waypoints this close together say nothing that more widely spaced ones do not. Over such short steps, joint positions
+# known only to a few digits have no meaningful third derivatives per millimetre, and their noise would slow the print.
+_TOO_DENSE, _ENOUGH = 1e-4, 2.5e-4  # m: median distance of such waypoints; distance of samples that is enough then
+_SHAKY = 0.05  # third difference of normals above which they count as rough
+_BESIDE = 8  # waypoints at an end whose roughness counts there
+_LESS = 1.0 - 1e-6  # × a distance: another one counts as less only below this
+_ORDER = 3  # of the difference that measures how rough normals are
+_RESOLVED_NORMAL = 2e-3  # third difference of normals below which one sample per waypoint is enough
+_LOOSEST = 6.0  # × `apart`: any sparser, and a place's nearest sample would be on another pass
 
 
 class TooRough(ValueError):
-    """No smooth curve keeps the tolerance at the corners from this waypoint (counted from 0) on."""
+    """No smooth curve stays within tolerance at the corners from this waypoint (counted from 0) on."""
 
     def __init__(self, waypoint: int) -> None:
         self.waypoint = waypoint
@@ -66,7 +66,7 @@ class TooRough(ValueError):
 
 @dataclass(frozen=True)
 class Interpolated:
-    """points and unit normals (n, 3) of a curve, and the input path source (m, 3): same frame and unit as the input.
+    """Points and unit normals (n, 3) of a curve, and the input path `source` (m, 3), in the input's frame and unit.
 
     chord (n): length of the chords through the waypoints up to each sample
     """
@@ -92,7 +92,7 @@ class _Corner:
     rows: Any
 
     def weight(self, c: Array) -> Array:
-        """1 where the rounded rows hold, 0 from one width further on, smooth in between."""
+        """1 where the rounded rows apply, 0 from one width further on, smooth in between."""
         beyond = np.maximum(np.maximum(self.first - c, c - self.last), 0.0) / self.width
         x = np.clip(2.0 - beyond, 0.0, 1.0)
         return x**5 * (126.0 - x * (420.0 - x * (540.0 - x * (315.0 - 70.0 * x))))
@@ -103,13 +103,16 @@ def interpolate(
 ) -> Interpolated:
     """Lay a curve through waypoints (m, 3), m at least 2, no two successive ones equal; corners within `tolerance`.
 
-    The curve is within a micrometre of every waypoint that is no corner and not beside one, where these lie densely
-    enough to be smooth. Its end points are the first and the last waypoint. apart: greatest distance of the source's
-    points, less than that between neighbouring passes, so that each point's nearest is on its own pass. ends: greatest
-    distance of samples at the two ends, for what is attached there. astray: how far the curve may be off the way on which those
-    beside a far longer step lead; beyond that such a step is straight, if that is nearer to it. All in m: what is smooth is
-    judged in micrometres.
-    Raises TooRough where there is none.
+    The curve is within a micrometre of every waypoint that is neither a corner nor next to one, if waypoints are dense
+    enough to be smooth. It ends at the first and the last waypoint.
+
+    apart   greatest distance between the source's points, less than that between neighbouring passes, so that each
+            point's nearest is on its own pass
+    ends    greatest distance between samples at the two ends, for whatever is attached there
+    astray  how far the curve, on a step far longer than its neighbours, may be from where these lead; beyond that the
+            step is straight, if that is nearer to where they lead
+
+    All in m: smoothness is judged in micrometres. Raises TooRough if there is no such curve.
     """
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     chord, turn = arc_lengths(points), _turns(points)
@@ -135,7 +138,7 @@ def interpolate(
         local = spacing if spacing > _SPARSE * usual else usual
         beside = slice(0, _BESIDE) if k == 0 else slice(-_BESIDE, None)
         rough = float(_roughness(normals[beside], chord[beside]).max(initial=0.0))
-        # so densely that what is attached there changes nothing between the samples
+        # so dense that whatever is attached there changes nothing between the samples
         wanted = min(ends, spacing / float(np.clip((rough / _RESOLVED_NORMAL) ** 0.25, 1.0, _MOST_PER_STEP)))
         if wanted < _LESS * local:
             density = density.denser(end, 1.0 / (1.0 / wanted - 1.0 / local), _ENDS * local)
@@ -151,7 +154,7 @@ def interpolate(
 
 
 def calm_path(points: Array) -> tuple[BSpline, Array]:
-    """The curve through waypoints (m, 3) before its corners are rounded, over chord length, and their chord lengths (m).
+    """The curve through waypoints (m, 3) over chord length, before corners are rounded, and their chord lengths (m).
 
     No two successive waypoints are equal.
     """
@@ -161,7 +164,7 @@ def calm_path(points: Array) -> tuple[BSpline, Array]:
 
 
 def _roughness(normals: Array, chord: Array) -> Array:
-    """Third differences (m - 3) of normals (m, 3) at chord lengths (m), as if they stood at even distances; 0 if few."""
+    """Third differences (m - 3) of normals (m, 3) at chord lengths (m), as if evenly spaced; empty if m <= 3."""
     if len(normals) <= _ORDER:
         return np.zeros(0)
     divided = normals
@@ -172,10 +175,10 @@ def _roughness(normals: Array, chord: Array) -> Array:
 
 
 def _source(path: BSpline, chord: Array, turn: Array, corners: list[_Corner], apart: float) -> Array:
-    """The unrounded path as a polyline (m, 3): all waypoints, and between them as many points as it bends."""
+    """The unrounded path as a polyline (m, 3): all waypoints, and as many points in between as its bends need."""
     step = np.diff(chord)
     bend = np.maximum(turn[:-1], turn[1:])
-    bend[bend > CORNER_TURN] = CORNER_TURN  # a corner is a waypoint: the path beside it bends less
+    bend[bend > CORNER_TURN] = CORNER_TURN  # a corner is a waypoint: the path next to it bends less
     pieces = np.ceil(np.maximum(np.sqrt(step * bend / (8.0 * _CHORD)), step / apart))
     for corner in corners:
         near = slice(*np.searchsorted(chord, [corner.first - 2.0 * corner.width, corner.last + 2.0 * corner.width]))
@@ -198,9 +201,9 @@ def _turns(points: Array) -> Array:
 
 
 def _samples_per_step(points: Array, normals: Array, chord: Array, sharp: NDArray[np.int64]) -> Array:
-    """How many samples each step (m - 1) of the waypoints needs: one, more where they bend within few steps.
+    """How many samples each step (m - 1) of the waypoints needs: one, or more where they bend within a few steps.
 
-    The error of interpolation grows with the fourth power of the spacing. Where normals are rough, joints between two
+    The interpolation error grows with the fourth power of the spacing. Where normals are rough, joints between two
     samples leave the path by the square of what they turn.
     """
     step = np.diff(chord)
@@ -210,7 +213,7 @@ def _samples_per_step(points: Array, normals: Array, chord: Array, sharp: NDArra
     rough = np.zeros(len(step))
     if len(bend) > 2:
         third = np.linalg.norm(np.diff(bend, n=2, axis=0), axis=1)
-        rough[1:-2] = third  # a corner beside it makes it rougher than it is: that does no harm
+        rough[1:-2] = third  # a neighbouring corner makes it rougher than it is: that does no harm
         rough = maximum_filter1d(rough, 5, mode="constant") * step
     shaky = np.zeros(len(step))
     if len(normals) > _ORDER:
@@ -221,7 +224,7 @@ def _samples_per_step(points: Array, normals: Array, chord: Array, sharp: NDArra
 
 
 def _fewest_per_step(points: Array, normals: Array, chord: Array, sharp: NDArray[np.int64]) -> Array:
-    """How many samples, or what part of one, each step (m - 1) of dense waypoints needs: as far as they bend over _ENOUGH."""
+    """How many samples, or what share of one, each step (m - 1) of dense waypoints needs, by bends over _ENOUGH."""
     every = max(int(_ENOUGH / float(np.median(np.diff(chord)))), 1)
     kept = np.union1d(np.arange(0, len(chord), every), np.append(sharp, len(chord) - 1))
     few = np.unique(np.searchsorted(kept, sharp))
@@ -235,9 +238,9 @@ def _calm_spline(
 ) -> tuple[BSpline, NDArray[np.int64]]:
     """The spline through all rows, and the waypoints where it has corners: `sharp`, and where it would swing out.
 
-    Through points whose distances or directions jump, a spline of high degree swings out between them. Both ends of a
-    step where it does so become corners, until it is calm; a step between two corners is straight. So do those of a step
-    that is far longer than those beside it, where the spline goes astray [m] of where these lead and straight does less so.
+    A spline of high degree swings out between points whose distances or directions jump. Both ends of a step where it
+    does so become corners, until it is calm; a step between two corners is straight. The same applies to a step far
+    longer than its neighbours if the spline is more than `astray` [m] off where these lead, and a straight step less.
     """
     ends = np.array([0, len(chord) - 1])
     step = np.diff(chord)
@@ -257,7 +260,7 @@ def _calm_spline(
             aside = swing[long, :, :3] - led
             aside = aside - (aside * along).sum(axis=2, keepdims=True) * along
             off_led, off_chord = (np.linalg.norm(each, axis=2).max(axis=1) for each in (aside, led))
-            wild[long] |= (off_led > astray) & (off_led > off_chord)  # where straight is nearer to where it is led
+            wild[long] |= (off_led > astray) & (off_led > off_chord)  # where a straight step is nearer to that
         k = np.flatnonzero(wild)
         more = np.setdiff1d(np.union1d(sharp, np.concatenate([k, k + 1])), ends)
         if len(more) == len(sharp):
@@ -266,12 +269,13 @@ def _calm_spline(
 
 
 def _led_on(points: Array, chord: Array, sharp: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-    """Steps (k) that are far longer than the two beside them, at one end or both, and how far off their chords (k, looks, 3) [m]
-    lies a curve that leaves and reaches them as these lead; at an end where they are not so much shorter, as at the other one,
-    mirrored.
+    """Steps (k) far longer than the next two at one end or both, and where these lead: offsets (k, looks, 3) [m].
 
-    The spline goes on with the bend of dense waypoints: on a straight step behind a bend it swings out by its length squared over
-    32 radii, about.
+    The offsets, from the chord of the long step, are those of a curve that leaves and reaches it as the short ones do.
+    At an end where the next two are not that much shorter, it mirrors the other end.
+
+    The spline continues the bend of dense waypoints: on a straight step after a bend it swings out by about the step's
+    length squared over 32 radii.
     """
     step = np.diff(chord)
     slope, k = np.diff(points, axis=0) / step[:, None], np.arange(len(step))
@@ -281,7 +285,7 @@ def _led_on(points: Array, chord: Array, sharp: NDArray[np.int64]) -> tuple[NDAr
     for side in (-1, 1):
         inside = (k + 2 * side >= 0) & (k + 2 * side < len(step))
         near, far = np.where(inside, k + side, k), np.where(inside, k + 2 * side, k)
-        meet = near if side > 0 else near + 1  # the waypoints where the step meets the near one, and that the far one
+        meet = near if side > 0 else near + 1  # the waypoint where the step meets the near one
         dense = inside & (_DENSER * np.maximum(step[near], step[far]) <= step) & calm[meet] & calm[meet + side]
         turn = slope[near] - slope[far]
         leads.append(slope[near] + (step[near] / (step[near] + step[far]))[:, None] * turn - slope)
@@ -295,7 +299,7 @@ def _led_on(points: Array, chord: Array, sharp: NDArray[np.int64]) -> tuple[NDAr
 
 
 def _spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> BSpline:
-    """One spline of degree 5 through all rows (m, d), smooth but at the waypoints `sharp`, where it only meets."""
+    """One spline of degree 5 through all rows (m, d), smooth except at waypoints `sharp`: only continuous there."""
     ends = np.concatenate([[0], sharp, [len(chord) - 1]])
     knots, coefficients = [], []
     for first, last in zip(ends[:-1], ends[1:], strict=True):
@@ -323,7 +327,7 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
     corners: list[_Corner] = []
     start = 0
     for i in range(1, len(at) + 1):
-        # the reach of a corner is twice its width: those that share a place are one
+        # a corner reaches twice its width: those that overlap are rounded as one
         if i < len(at) and at[i] - at[i - 1] <= 2.0 * (widths[i] + widths[i - 1]):
             continue
         corner = _rounded(path, at[start:i], float(widths[start:i].min()), chord[-1], tolerance)
@@ -337,7 +341,7 @@ def _round(path: BSpline, chord: Array, sharp: NDArray[np.int64], turn: Array, t
 def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: float) -> _Corner | None:
     """Average a path around the corners `at` with the widest kernel, `width` at most, that keeps the tolerance.
 
-    None if no width that was tried does.
+    None if no width tried does.
     """
     room = _USED * tolerance
     fits, exceeds = 0.0, np.inf
@@ -352,7 +356,7 @@ def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: f
                 break
         else:
             exceeds = width
-        # the deviation grows about as the width does
+        # the deviation grows roughly in proportion to the width
         width = float(
             np.clip(width * _AIM * room / off, fits + 0.1 * (exceeds - fits), exceeds - 0.1 * (exceeds - fits))
         )
@@ -361,7 +365,7 @@ def _rounded(path: BSpline, at: Array, width: float, length: float, tolerance: f
 
 
 def _averaged(path: BSpline, at: Array, width: float, length: float) -> tuple[_Corner, float]:
-    """Average a path around the corners `at` with a kernel, and return how far that moves a point at most."""
+    """Average a path around the corners `at` with a kernel, and return the greatest distance this moves a point."""
     low, high = float(at[0]), float(at[-1])
     cell = width / _CELLS
     cells = int(np.ceil((high - low) / cell)) + 6 * _CELLS + 1
@@ -372,13 +376,13 @@ def _averaged(path: BSpline, at: Array, width: float, length: float) -> tuple[_C
     inner = slice(_CELLS, -_CELLS)
     smooth = convolve1d(rows, kernel / kernel.sum(), axis=0, mode="nearest")[inner]
     corner = _Corner(low, high, width, make_interp_spline(grid[inner], smooth, k=_DEGREE))
-    # at the corners themselves, too: a spike of one waypoint may stand between two cells of the grid
+    # at the corners themselves, too: a spike of one waypoint may lie between two grid points
     moved = np.vstack([smooth - rows[inner], corner.rows(at) - path(at)])
     return corner, float(np.linalg.norm(moved[:, :3], axis=1).max())
 
 
 def _extended(path: BSpline, c: Array, length: float) -> Array:
-    """A path's rows at chord lengths c, mirrored in its ends beyond them, which the average thus leaves in place."""
+    """A path's rows at chord lengths c, point-mirrored beyond its ends, so that averaging leaves these in place."""
     inside = np.where(c < 0.0, -c, np.where(c > length, 2.0 * length - c, c))
     rows = np.asarray(path(np.clip(inside, 0.0, length)))
     for beyond, end in ((c < 0.0, 0.0), (c > length, length)):

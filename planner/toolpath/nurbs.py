@@ -1,6 +1,6 @@
 """NURBS curves as polylines, in the plane or in space.
 
-Curves are evaluated in homogeneous coordinates and divided as finely as they bend.
+Curves are evaluated in homogeneous coordinates and divided as finely as their bends need.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from planner.problem.drawings import CurveSpec
 from planner.toolpath.svg.outlines import PlanePath
 
 FLATNESS = 1e-6  # m, between chords and curve: far below any tolerance, and some 200 points for a curve of 100 mm
-_PIECES = 8  # of each span between knots at first
-_LOOKS = (0.25, 0.5, 0.75)  # of a piece, where its chord is judged
-_FINEST = 1e-12  # of the whole parameter range: a piece as short as this is divided no further
-_SAME = 1e-9  # m: points nearer than this are one
+_PIECES = 8  # of each knot span at first
+_LOOKS = (0.25, 0.5, 0.75)  # shares of a piece at which its chord is checked
+_FINEST = 1e-12  # × the parameter range: pieces shorter than this are divided no further
+_SAME = 1e-9  # m: points nearer than this count as one
 _CUSP = 1e-5  # m: a curve that turns back within this length has a point no bead can follow
-_BACK = np.radians(165.0)  # turned within it
+_BACK = np.radians(165.0)  # turn within _CUSP that counts as turning back
 
 
 class Cusp(ValueError):
@@ -35,9 +35,9 @@ class Cusp(ValueError):
 
 @dataclass(frozen=True)
 class NurbsCurve:
-    """A rational B-spline curve, its parameter from 0 to 1.
+    """A rational B-spline curve with a parameter from 0 to 1.
 
-    spline of weight times x, y and in space z, and of the weight [m]; knots: the distinct ones.
+    spline: of weight times x, y and, in space, z [m], and of the weight; knots: the distinct ones
     """
 
     spline: BSpline
@@ -45,7 +45,7 @@ class NurbsCurve:
 
     @classmethod
     def of(cls, spec: CurveSpec) -> NurbsCurve:
-        """The curve of a specification that was found to be one; evenly spaced, clamped knots where it has none."""
+        """The curve of a validated specification; without knots, they are evenly spaced and clamped."""
         points, p = np.asarray(spec.points), spec.degree
         weights = np.ones(len(points)) if spec.weights is None else np.asarray(spec.weights)
         if spec.knots is None:
@@ -58,15 +58,15 @@ class NurbsCurve:
         return cls(spline, np.unique(knots))
 
     def at(self, u: Array) -> Array:
-        """Points (n, 2), or in space (n, 3), at parameters u (n) [m]."""
+        """Points (n, 2), or (n, 3) in space, at parameters u (n) [m]."""
         rows = np.asarray(self.spline(u))
         return np.asarray(rows[:, :-1] / rows[:, -1:])
 
 
 def flatten(curve: NurbsCurve, name: str) -> PlanePath:
-    """The curve as a polyline whose chords leave it by FLATNESS at most; every knot is a vertex.
+    """The curve as a polyline whose chords deviate from it by FLATNESS at most; every knot is a vertex.
 
-    Closed where it ends where it begins. Raises Cusp where it turns back on itself.
+    It is closed if the curve ends where it begins. Raises Cusp if the curve turns back on itself.
     """
     steps = np.arange(_PIECES) / _PIECES
     u = np.append((curve.knots[:-1, None] + np.diff(curve.knots)[:, None] * steps).ravel(), 1.0)
@@ -87,7 +87,7 @@ def flatten(curve: NurbsCurve, name: str) -> PlanePath:
 
 
 def _off_chord(points: Array, between: Array) -> Array:
-    """Distances (n - 1) of points between two successive ones (n, 2 or 3) from their chord."""
+    """Distances (n - 1) of points `between` from the chords of successive points (n, 2 or 3)."""
     chord = np.diff(points, axis=0)
     away = between - points[:-1]
     square = np.maximum((chord * chord).sum(axis=1), _SAME**2)
@@ -96,7 +96,7 @@ def _off_chord(points: Array, between: Array) -> Array:
 
 
 def _refuse_cusp(points: Array) -> None:
-    """Raise Cusp where a polyline (n, 2 or 3) turns by _BACK within _CUSP."""
+    """Raise Cusp if a polyline (n, 2 or 3) turns by _BACK or more within _CUSP."""
     step = np.diff(points, axis=0)
     if len(step) < 2:
         return
@@ -112,9 +112,9 @@ def _refuse_cusp(points: Array) -> None:
 
 
 def nurbs_paths(curves: Sequence[CurveSpec], where: Callable[[int], Complaint]) -> tuple[PlanePath, ...]:
-    """Curves in their order, as polylines (n, 2) or (n, 3) in metres.
+    """Curves in the given order, as polylines (n, 2) or (n, 3) in metres.
 
-    Raises the InputError that `where(i)(reason, hint=...)` makes for one that has a cusp.
+    Raises InputError, made by `where(i)(reason, hint=...)`, for a curve with a cusp.
     """
     paths = []
     for i, spec in enumerate(curves):

@@ -1,4 +1,4 @@
-"""Print order: which bead follows which, and in which direction, so that little is travelled."""
+"""Print order: which bead follows which, and in which direction, so that travel is short."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from planner.toolpath.plane_paths import PlaneCurve
 
 
 def shorten_travel(curves: Sequence[PlaneCurve], start: Array | None = None) -> list[PlaneCurve]:
-    """Order curves and turn them round: nearest neighbour first, then improved until no 2-opt move helps.
+    """Order and orient curves: by nearest neighbour, then improved until no 2-opt move helps.
 
-    A closed curve starts and ends where it did; an open one may be run backwards. Of both directions of the whole
-    order the one that begins nearer to `start` (2), if that is given.
+    A closed curve starts and ends where it did; an open one may be run backwards. If `start` (2) is given, the whole
+    order runs in the direction that begins nearer to it.
     """
     order = _travelled(curves)
     if not order or start is None:
@@ -29,8 +29,10 @@ def shorten_travel(curves: Sequence[PlaneCurve], start: Array | None = None) -> 
 
 
 def in_order(curves: Sequence[PlaneCurve], order: Sequence[str], start: Array | None = None) -> list[PlaneCurve]:
-    """Curves whose names fit the first pattern, then those of the next, and so on, those that fit none last; each time as
-    `shorten_travel` has them, from where the ones before end, or from `start` (2) on."""
+    """Curves in the order of the first patterns that fit their names; those that fit none come last.
+
+    Each group is ordered by `shorten_travel`, from where the previous group ends, or from `start` (2).
+    """
     groups: dict[int, list[PlaneCurve]] = {}
     for curve in curves:
         groups.setdefault(rank(curve.name, order), []).append(curve)
@@ -41,13 +43,13 @@ def in_order(curves: Sequence[PlaneCurve], order: Sequence[str], start: Array | 
 
 
 def rank(name: str, order: Sequence[str]) -> int:
-    """Number of the first pattern that fits a name, or how many there are."""
+    """Index of the first pattern that fits a name, or the number of patterns if none does."""
     return next((k for k, pattern in enumerate(order) if fits(pattern, name)), len(order))
 
 
 def rows_of_layers(curves: Sequence[PlaneCurve], count: int, order: Sequence[str]) -> list[list[PlaneCurve]]:
-    """The same curves in each of `count` layers, in print order; each layer starts where the one before ended, or near to
-    it where an order is asked for."""
+    """The same curves in each of `count` layers, in print order; each layer starts where the one before ended, or near
+    it if an order is given."""
     rows = [in_order(curves, order)]
     while len(rows) < count:
         if order:
@@ -66,15 +68,15 @@ def _travelled(curves: Sequence[PlaneCurve]) -> list[PlaneCurve]:
 
 
 def reverse(curve: PlaneCurve) -> PlaneCurve:
-    """The same curve, run backwards."""
+    """The curve run backwards."""
     return replace(curve, points=curve.points[::-1].copy(), source=curve.source[::-1].copy())
 
 
 def nearest_first(lines: Sequence[tuple[Array, bool]]) -> list[tuple[int, bool]]:
-    """Numbers of lines from the first one on, always to the nearest end next, and whether each is run backwards.
+    """Order lines from the first on, always to the nearest end: their numbers, and whether each runs backwards.
 
-    A line is its points (n, d), and whether it is closed: then the first point is not repeated, it ends where it begins,
-    and it is never turned round.
+    A line is its points (n, d), and whether it is closed. A closed line does not repeat its first point, ends where it
+    begins, and is never reversed.
     """
     left = list(range(1, len(lines)))
     order = [(0, False)]
@@ -129,7 +131,7 @@ def _gap(ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_], a: i
 def _improve(
     ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """2-opt over stretches i..j (a stretch of one turns a single curve round) until none shortens the travel."""
+    """2-opt over stretches i..j (a stretch of one reverses a single curve) until none shortens the travel."""
     n = len(order)
     better = True
     while better:

@@ -1,7 +1,7 @@
-"""Plane paths: how densely to sample them, rounded corners, seams, least sizes, and the beads they become.
+"""Plane paths: sampling density, rounded corners, seams, minimum sizes, and the beads made from them.
 
 Corners are rounded by the smoothest curve that stays within a tolerance of the polyline. A blend that cuts a corner
-uses the tolerance on one side only. Here every sample may move anywhere in a disc around its place on the input path,
+uses the tolerance on one side only; here every sample may move anywhere in a disc around its place on the input path,
 and the curve's third derivative, which drives joint jerk, is made as small as the discs allow:
 
     minimise  sum |l^3 x'''|^2 + |x - p|^2   subject to  |x_i - p_i| <= tolerance
@@ -31,36 +31,36 @@ from planner.toolpath.bead import Bead
 if TYPE_CHECKING:
     from planner.toolpath.svg.outlines import PlanePath
 
-_SMOOTHING = 8.0  # mean steps over which the waypoints' own density is averaged
-_REACH = 30.0  # widths around a corner up to which samples draw together
+_SMOOTHING = 8.0  # mean steps: sigma of the Gaussian that averages the waypoints' own density
+_REACH = 30.0  # × a corner's width: how far from it samples are closer together
 _DENSITY_STEPS = 4
 
 SAMPLES_PER_TOLERANCE = 2.0  # sample spacing = tolerance / 2: a rounded corner is some 10 tolerances long
 ROUNDING_LENGTH = 12.5  # l in tolerances: long enough that a right angle uses its whole disc
 OVERLAP = 16.0  # in l: how far a closed path is unrolled past its seam; the ends' influence is e^-8 there
-_BARRIERS = (1e4, 1e3, 1e2, 1e1)  # against an objective of some 6,000 a sample at a corner
+_BARRIERS = (1e4, 1e3, 1e2, 1e1)  # against an objective of some 6,000 per sample at a corner
 _NEWTON_STEPS = 20
-_KEPT_ROOM = 0.01  # of the squared distance to a disc's rim that a step must leave: numbers stay finite
-_FINEST = 0.5  # of the tolerance: where less of it is used, samples draw no closer together
-_LEAST = 0.1  # of the tolerance, radius of any disc: where the tolerance is shared out, few samples see a corner
-_SHRINK = 0.98  # of the tolerance: leaves room for what the curve does between samples
+_KEPT_ROOM = 0.01  # share of a sample's room r^2 - |e|^2 that a step must leave: numbers stay finite
+_FINEST = 0.5  # × the tolerance: if less of it is used, samples get no closer together
+_LEAST = 0.1  # × the tolerance: least radius of a disc; where the tolerance is shared out, few samples see a corner
+_SHRINK = 0.98  # × the tolerance: leaves a margin for the curve between samples
 
 _SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
-_KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
+_KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is placed
 
-_ASIDE = 0.1  # of the way between two corners, that a seam keeps away from both
-_SEAMS = 360  # places between two corners, or around, at which it may be
+_ASIDE = 0.1  # × the distance between two corners: a seam keeps this far from both
+_SEAMS = 360  # candidate places for a seam between two corners, or around a path without corners
 
-_CLOSED = 1e-6  # m between the ends of a closed bead
-_SOURCE_STEP = 1e-4  # m: an input polyline is laid this densely, 0.04 um from the true helix at 34 mm
+_CLOSED = 1e-6  # m: a bead whose ends are nearer than this is closed
+_SOURCE_STEP = 1e-4  # m: greatest step of a densified polyline, 0.04 um off the true helix at a radius of 34 mm
 
 
 @dataclass(frozen=True)
 class SampleDensity:
     """Samples per metre along a curve of chord length `length` [m].
 
-    counted   (spline) how many waypoints' steps lie up to a chord length
-    corners   chord lengths (k) around which samples draw together, spacing (k) there, and over what width (k)
+    counted   spline of the number of samples up to a chord length, without those added at corners
+    corners   chord lengths (k) around which samples are added, `spacing` (k) apart there, over about `width` (k)
     """
 
     length: float
@@ -71,7 +71,7 @@ class SampleDensity:
 
     @classmethod
     def of_steps(cls, chord: Array, samples: Array) -> SampleDensity:
-        """The density of waypoints at chord lengths (m), evened out; each step is worth so many samples (m - 1)."""
+        """The smoothed density of waypoints at chord lengths (m); each step is worth so many samples (m - 1)."""
         cells = max(len(chord) - 1, 4)
         grid = np.linspace(0.0, chord[-1], cells + 1)
         steps = np.diff(np.interp(grid, chord, np.concatenate([[0.0], np.cumsum(samples)])))
@@ -82,7 +82,7 @@ class SampleDensity:
         return cls(float(chord[-1]), CubicSpline(x, y).antiderivative(), none, none, none)
 
     def denser(self, corners: Array, spacing: float, width: float) -> SampleDensity:
-        """The same with samples `spacing` [m] apart at corners (chord lengths), over some `width` [m]."""
+        """The same, plus samples `spacing` [m] apart at corners (chord lengths), over about `width` [m]."""
         k = np.ones(len(corners))
         return replace(
             self,
@@ -96,7 +96,7 @@ class SampleDensity:
         return 1.0 / self._density(c)
 
     def samples(self, fewest: int) -> Array:
-        """Chord lengths (n) of the samples, the two ends among them, n at least `fewest`."""
+        """Chord lengths (n) of the samples, both ends included; n is at least `fewest`."""
         rough = np.linspace(0.0, self.length, max(8, int(self.counted(self.length)) + 1))
         offsets = np.sinh(np.linspace(-4.0, 4.0, 65))
         around = (self.corners[:, None] + self.width[:, None] * offsets).ravel()
@@ -112,7 +112,7 @@ class SampleDensity:
         return c
 
     def _count(self, c: Array) -> Array:
-        """Samples up to chord lengths c (n), which increase."""
+        """Number of samples up to increasing chord lengths c (n)."""
         count = np.asarray(self.counted(c))
         bump = _bumps_up_to()
         for corner, spacing, width in zip(self.corners, self.spacing, self.width, strict=True):
@@ -141,7 +141,7 @@ def _bump() -> CubicSpline:
 
 @cache
 def _bumps_up_to() -> Any:
-    """Its integral from -REACH on."""
+    """Integral of `_bump` from -REACH."""
     return _bump().antiderivative()
 
 
@@ -150,7 +150,7 @@ class PlaneCurve:
     """A rounded path, sampled uniformly in the arc length u of its input path.
 
     points (n, 2) on the curve, source (m, 2) the input polyline [m]; closed: the last point is the first.
-    The samples draw together where the curve turns sharply.
+    The samples are closer together where the curve turns sharply.
     """
 
     name: str
@@ -162,8 +162,8 @@ class PlaneCurve:
 def round_corners(path: PlanePath, tolerance: float, share: Callable[[Array], Array] | None = None) -> PlaneCurve:
     """Smooth a polyline within `tolerance` [m] of itself, sample by sample (so in Fréchet distance too).
 
-    Open paths keep their end points; closed ones are smooth across the seam. Where `share` is given, only that part
-    (n) of the tolerance is used at points (n, 2) of the path.
+    Open paths keep their end points; closed ones are smooth across the seam. If `share` is given, only that share (n)
+    of the tolerance is used at points (n, 2) of the path.
     """
     length = ROUNDING_LENGTH * tolerance
     arc = arc_lengths(path.points)
@@ -196,7 +196,7 @@ def _rooms(p: Array, tolerance: float, share: Callable[[Array], Array] | None) -
 
 
 def _disc_radii(path: PlanePath, arc: Array, u: Array, p: Array, tolerance: Array) -> Array:
-    """Radius (n) of each sample's disc [m], within its tolerance (n): smaller beside corners between samples.
+    """Radius (n) of each sample's disc [m], within its tolerance (n): smaller next to corners between samples.
 
     A corner at a distance h from the chord of its two samples p is within radius + h of the curve.
     """
@@ -219,9 +219,10 @@ def _disc_radii(path: PlanePath, arc: Array, u: Array, p: Array, tolerance: Arra
 
 
 def _smooth(p: Array, radius: Array, stiffness: float) -> Array:
-    """Solve the rounding problem (see the top of this file) for samples p (n, 2) with discs of `radius` (n); `stiffness` is l in sample steps.
+    """Solve the rounding problem (see the top of this file) for samples p (n, 2) with discs of `radius` (n).
 
-    End points are kept. Inside, x and y are rows: numpy is three times as fast along rows of n as along pairs.
+    `stiffness` is l in sample steps. End points are kept. Internally, x and y are rows: numpy is three times as fast
+    along rows of n as along pairs.
     """
     n = len(p)
     third = _third_difference_bands(n, stiffness**6)
@@ -251,7 +252,7 @@ def _smooth(p: Array, radius: Array, stiffness: float) -> Array:
 
 
 class _Samples(NamedTuple):
-    """Samples X (2, n), e = X - P, |e|^2 (n), the room (n) to the rims of their discs, and the bands' product with X."""
+    """Samples X (2, n), e = X - P, |e|^2 (n), the room (n) left in their discs, and the bands' product with X."""
 
     X: Array
     e: Array
@@ -269,13 +270,13 @@ class _Rounding(NamedTuple):
     third: Array
 
     def at(self, X: Array) -> _Samples:
-        """What there is to know of samples X."""
+        """Everything derived from samples X."""
         e = X - self.P
         e2 = e[0] * e[0] + e[1] * e[1]
         return _Samples(X, e, e2, self.r2 - e2, _apply(self.third, X))
 
     def has_room(self, X: Array, least_room: Array) -> bool:
-        """Whether samples X all have as much room as that."""
+        """Whether all samples X have at least `least_room`."""
         e = X - self.P
         return bool((self.r2 - (e[0] * e[0] + e[1] * e[1]) >= least_room).all())
 
@@ -286,7 +287,7 @@ class _Rounding(NamedTuple):
 
 
 def _line_search(problem: _Rounding, at: _Samples, step: Array, decrement: float, barrier: float) -> _Samples:
-    """Largest halving of a Newton step that stays inside every disc and lowers the barrier function."""
+    """Halve a Newton step until it stays inside every disc and lowers the barrier function enough."""
     start, least_room, scale = problem.value(at, barrier), _KEPT_ROOM * at.room, 1.0
     while scale > 1e-6:
         X = at.X + scale * step
@@ -321,11 +322,11 @@ def _apply(bands: Array, x: Array) -> Array:
 def with_seam(
     path: PlanePath, spec: SeamSpec | None = None, place: Callable[[Array], Array] | None = None
 ) -> PlanePath:
-    """Start a closed path where a seam is asked for, or as far from its corners as it can, so that run-in and run-out are
-    smooth; an open one stays as it is.
+    """Start a closed path at the requested seam, or as far from its corners as possible; an open one is unchanged.
 
-    A seam that is asked for keeps away from corners, too, by a share of the way between them.
-    place: where plane points (k, 2) lie in the part frame (k, 3) [m]
+    Run-in and run-out are smooth only away from corners. A requested seam keeps away from them, too, by a share of the
+    distance between two of them.
+    place: maps plane points (k, 2) to the part frame (k, 3) [m]
     """
     if not path.closed:
         return path
@@ -352,14 +353,14 @@ def with_seam(
     seam = path.points[k - 1] + t * (path.points[k] - path.points[k - 1])
     around = np.vstack([seam[None], path.points[k:-1], path.points[:k], seam[None]])
     step = np.hypot(*np.diff(around, axis=0).T)
-    keep = np.concatenate([[True], step > 1e-12])  # a seam on a vertex stands there twice
+    keep = np.concatenate([[True], step > 1e-12])  # a seam on a vertex would be there twice
     points = around[keep]
     points[-1] = seam
     return replace(path, points=points)
 
 
 def _away(points: Array, spec: SeamSpec) -> Array:
-    """How far (k) points (k, 3) are from where a seam is to be; those that lie nowhere are farthest."""
+    """How far (k) points (k, 3) are from the requested seam; infinitely far if they are NaN."""
     if spec.near is not None:
         away = np.linalg.norm(points - spec.near, axis=1)
     else:
@@ -373,7 +374,7 @@ def length(points: Array) -> float:
 
 
 def check_size(problem: Problem, name: str, drawn: float, rounded: float, hint: str) -> None:
-    """Raise InputError for a path that its rounding shortens too much; lengths drawn and rounded [m]."""
+    """Raise InputError for a path that rounding shortens too much; lengths `drawn` and `rounded` [m]."""
     if rounded < _SHRUNK * drawn:
         raise problem.error(
             "process.corner_tolerance_mm",
@@ -396,7 +397,7 @@ def make_bead(
 ) -> Bead:
     """The bead through points (n, 3) that are uniform in its parameter [m]; its fields are those of Bead.
 
-    width and height [m] are those of every place (n,), or of the whole bead; closed: None where its ends tell.
+    width and height [m] are given at each point (n,), or once for the whole bead; closed: None to decide by its ends.
     """
     return Bead(
         name=name,
@@ -417,7 +418,7 @@ def arc_length(points: Array) -> Array:
     """Arc length (n,) along the smooth curve through points (n, 3) that are uniform in its parameter."""
     u = np.arange(len(points), dtype=float)
     spline = make_interp_spline(u, points, k=min(5, len(points) - 1))
-    # Gauss-Legendre, three points an interval: exact to 1e-12 m where the spline is resolved at all
+    # Gauss-Legendre, three points per interval: exact to 1e-12 m if the spline is resolved at all
     nodes, weights = np.polynomial.legendre.leggauss(3)
     mid = u[:-1, None] + 0.5 * (nodes[None, :] + 1.0)
     speed = np.linalg.norm(spline(mid.ravel(), 1), axis=1).reshape(mid.shape)

@@ -1,5 +1,5 @@
-"""Lines around the first layer, laid before all others: a skirt, which starts the flow, or where they touch it a brim, which
-holds it to the bed."""
+"""Lines around the first layer, laid before all others: a skirt, which starts the flow, or, if they touch the layer, a
+brim, which holds it to the bed."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from planner.toolpath.plane_paths import densify, make_bead, round_corners, with
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
 
-_LEVEL = 1e-6  # m that first layers may rise and fall
-_UPRIGHT = 1e-9  # by which the upward component of their normals may be less than 1
-_ARC = 32  # pieces of a quarter of a circle: a line 50 mm away leaves its circle by 0.02 mm
-_CHORD = 1e-5  # m by which outlines may be thinned out
+_LEVEL = 1e-6  # m: height range within which a first layer is level
+_UPRIGHT = 1e-9  # how far the upward component of its normals may be below 1
+_ARC = 32  # segments per quarter circle: a line 50 mm away leaves its circle by 0.02 mm
+_CHORD = 1e-5  # m: tolerance within which outlines are simplified
 
 
 def with_skirt(problem: Problem, toolpath: Toolpath, spec: SkirtSpec) -> Toolpath:
-    """The toolpath with the lines around its first layer before all others, from the outside in.
+    """The toolpath, preceded by lines around its first layer from the outside in.
 
-    Raises InputError for a first layer that is not level: what lies beside it there is no bed.
+    Raises InputError for a first layer that is not level: there is no bed next to it.
     """
     layer = min(bead.layer for bead in toolpath.beads)
     first = [bead for bead in toolpath.beads if bead.layer == layer]
     z = np.concatenate([bead.points[:, 2] for bead in first])
     upright = min(float(bead.normals[:, 2].min()) for bead in first)
     if np.ptp(z) > _LEVEL or upright < 1.0 - _UPRIGHT:
-        reason = "the first layer is not level: beside it there is no bed to lay lines on"
+        reason = "the first layer is not level: there is no bed next to it to lay lines on"
         raise problem.error("process.skirt", reason, "leave it out, or draw the lines on the part")
     beads = [_bead(problem, path, first[0], float(z.mean())) for path in _lines(spec, first)]
     return replace(toolpath, beads=(*beads, *toolpath.beads), surface=SkirtedSurface(toolpath.surface, len(beads)))
 
 
 def _lines(spec: SkirtSpec, first: list[Bead]) -> Iterator[PlanePath]:
-    """Closed paths around what beads cover, the outermost first."""
+    """Closed paths around the area covered by beads, the outermost first."""
     covered = shapely.union_all(
         [shapely.LineString(bead.points[:, :2]).buffer(0.5 * float(bead.width.max()), quad_segs=_ARC) for bead in first]
     )
-    width, number = float(np.median(first[0].width)), 0  # whose flow may grow at its start
+    width, number = float(np.median(first[0].width)), 0  # median: flow may grow at its start
     for k in reversed(range(spec.loops)):
         around = covered.buffer(spec.gap + (k + 0.5) * width, quad_segs=_ARC)
         for polygon in shapely.get_parts(around):
@@ -54,7 +54,7 @@ def _lines(spec: SkirtSpec, first: list[Bead]) -> Iterator[PlanePath]:
 
 
 def _bead(problem: Problem, path: PlanePath, like: Bead, z: float) -> Bead:
-    """A level bead at a height z, of another's width, height and material."""
+    """A level bead at height z with the width, height and material of another."""
 
     def place(plane: Array) -> Array:
         return np.column_stack([plane, np.full(len(plane), z)])
@@ -76,11 +76,11 @@ class SkirtedSurface(SurfaceOver):
     lines: int
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Up on the lines, else as of the surface."""
+        """Upwards for the lines, otherwise as for the surface."""
         if bead < self.lines:
             return np.tile([0.0, 0.0, 1.0], (len(tips), 1))
         return self.surface.normals_on(bead - self.lines, s, tips)
 
     def before(self, bead: int) -> Surface:
-        """The surface when so many beads have been printed, the lines left out."""
+        """The surface after so many beads have been printed, not counting the lines."""
         return self.surface.before(max(bead - self.lines, 0))

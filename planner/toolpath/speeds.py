@@ -1,4 +1,4 @@
-"""Commanded speeds of beads: the process's, those of some layers or beads, and lower ones in layers that would be too quick."""
+"""Commanded speeds: the process's, those set for some layers or beads, and lower ones in layers otherwise too quick."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ _MOST_NAMES = 6  # of beads in a hint
 
 
 def check_layers(problem: Problem, toolpath: Toolpath) -> None:
-    """Raise the InputError of names that are no bead's, and of a pause before a layer that there is not; but where fewer
-    layers are printed than the file says, they may be of those that are not."""
+    """Raise InputError for names that fit no bead, and for a pause before a layer that does not exist.
+
+    If `layers.count` is overridden, nothing is checked: both may refer to layers that are not printed.
+    """
     if problem.sources.override(("layers", "count")) is not None:
         return
     process, count = problem.process, 1 + max(bead.layer for bead in toolpath.beads)
@@ -43,7 +45,7 @@ def check_layers(problem: Problem, toolpath: Toolpath) -> None:
 
 
 def _unknown(problem: Problem, toolpath: Toolpath, field: str, pattern: str, where: str = "") -> InputError:
-    """The error of a pattern that no bead's name fits."""
+    """The error for a pattern that fits no bead's name."""
     names = list(dict.fromkeys(bead.name for bead in toolpath.beads))
     near = nearest_name(pattern, names)
     some = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
@@ -53,7 +55,7 @@ def _unknown(problem: Problem, toolpath: Toolpath, field: str, pattern: str, whe
 
 
 def with_speeds(problem: Problem, toolpath: Toolpath) -> Toolpath:
-    """The toolpath whose beads have their own speeds where these are not the process's; what is slowed down is noted."""
+    """The toolpath with beads' own speeds where they differ from the process's; a note says what is slowed down."""
     process = problem.process
     if not process.speeds and process.layer_time is None:
         return toolpath
@@ -72,16 +74,16 @@ def with_speeds(problem: Problem, toolpath: Toolpath) -> Toolpath:
 
 
 def _slowed(layers: set[int], lowest: float) -> str:
-    """Which layers are laid more slowly, in words; lowest speed [m/s]."""
+    """Which layers are laid more slowly, in words; `lowest` is their lowest speed [m/s]."""
     few = f"layer {min(layers)} is" if len(layers) == 1 else f"{len(layers)} layers are"
-    return f"{few} laid more slowly than asked, down to {lowest * 1e3:.3g} mm/s, so that the next comes no sooner than asked"
+    return f"{few} laid more slowly than asked, down to {lowest * 1e3:.3g} mm/s, so that the next starts no sooner than asked"
 
 
 def commanded_speeds(process: ProcessSpec, toolpath: Toolpath) -> Array:
-    """Speed (beads) [m/s] of each bead: of the rules that cover it the last one's.
+    """Speed (beads) [m/s] of each bead: that of the last rule that covers it.
 
-    A layer whose beads would take less time than a layer must is laid more slowly, all of its beads by the same share,
-    but none slower than the process allows: what is missing then is waited for at home.
+    A layer whose beads would take less than the least layer time is laid more slowly, all of its beads by the same
+    share, but none slower than the process allows: the robot then waits at home for the rest of the time.
     """
     speeds = np.full(len(toolpath.beads), process.speed)
     for spec in process.speeds:
@@ -91,7 +93,7 @@ def commanded_speeds(process: ProcessSpec, toolpath: Toolpath) -> Array:
     if process.layer_time is None:
         return speeds
     floor = process.layer_time.floor(process.speed)
-    for own in list(beads_by_layer(toolpath).values())[:-1]:  # nothing comes on the last one
+    for own in list(beads_by_layer(toolpath).values())[:-1]:  # nothing is laid on the last one
         times = np.array([toolpath.beads[i].length for i in own]) / speeds[own]
         share = min(1.0, float(times.sum()) / process.layer_time.least)
         speeds[own] = np.minimum(speeds[own], np.maximum(share * speeds[own], floor))
@@ -107,20 +109,23 @@ def beads_by_layer(toolpath: Toolpath) -> dict[int, list[int]]:
 
 
 def mean_speed(process: ProcessSpec, toolpath: Toolpath) -> float:
-    """Length of all beads over the time that they take at their commanded speeds [m/s]."""
+    """Length of all beads over the time they take at their commanded speeds [m/s]."""
     length = sum(bead.length for bead in toolpath.beads)
     return length / sum(bead.length / bead.commanded(process.speed) for bead in toolpath.beads)
 
 
 def resting_time(process: ProcessSpec, toolpath: Toolpath) -> float:
-    """How long the robot rests in a print [s], about, before its motion is known: until all is hot, at cuts of fibre, for
-    changes of material, for pauses, and until a layer is cool, or old enough for the next one."""
+    """Estimate, before the motion is known, how long the robot rests during a print [s].
+
+    It rests until everything is hot, at cuts of fibre, for changes of material, for pauses, and until a layer is cool
+    or old enough for the next one.
+    """
     beads, layers = toolpath.beads, beads_by_layer(toolpath)
     cuts = 0.0 if process.fibre is None else len(beads) * process.fibre.cut_wait
     changes = sum(before.material != after.material for before, after in pairwise(beads)) * process.change.time
     least = 0.0 if process.layer_time is None else process.layer_time.least
     if process.interlayer_time is not None and process.interlayer_time.least is not None:
-        least = max(least, process.interlayer_time.least)  # layers are taken to lie on each other
+        least = max(least, process.interlayer_time.least)  # assuming that layers lie on each other
     pauses = {pause.before_layer - 1: pause.time for pause in process.pauses}
     between = 0.0
     for layer, after in pairwise(layers):

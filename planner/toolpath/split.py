@@ -1,4 +1,4 @@
-"""Beads in pieces: where the nozzle leaves a bead and comes back, one bead becomes two that meet."""
+"""Splits beads into pieces: where the nozzle leaves a bead and returns, one bead becomes two that meet."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.geometry import arc_lengths
 from planner.toolpath.bead import Bead, Split, Surface, SurfaceOver, Toolpath
 
-_DRIFT = 0.02  # share of a bead's length by which its source's may be off up to a place
+_DRIFT = 0.02  # × the source's length: how far a place on the source may be from the same share of its length
 
 
 def split_toolpath(
     toolpath: Toolpath, places: Mapping[int, Sequence[tuple[float, str]]], backwards: Collection[int] = ()
 ) -> Toolpath:
-    """The toolpath with beads (by index) in pieces: places are arc lengths [m] in order, with why each is.
+    """The toolpath with beads (by index) split at places: sorted arc lengths [m], each with its reason.
 
-    Pieces are named after their bead, and known in `splits`; the beads after them have higher numbers. Pieces of beads
-    that run `backwards` count from the end: those that lie on each other have the same name.
+    Pieces are named after their bead and listed in `splits`; the beads after them have higher numbers. Pieces of beads
+    that run `backwards` are numbered from the end, so that those that lie on each other have the same name.
     """
     beads: list[Bead] = []
     splits: list[Split] = []
@@ -41,7 +41,7 @@ def split_toolpath(
 
 
 def _piece(bead: Bead, first: int, last: int, number: int) -> Bead:
-    """Samples first .. last of a bead as a bead of their own."""
+    """Samples first .. last of a bead, as a bead of its own."""
     own = slice(first, last + 1)
     along = arc_lengths(bead.source)
     low, high = (_on_source(bead, along, i) for i in (first, last))
@@ -62,8 +62,10 @@ def _piece(bead: Bead, first: int, last: int, number: int) -> Bead:
 
 
 def _on_source(bead: Bead, along: Array, i: int) -> float:
-    """Arc length on the source, whose points stand at `along` (m), of what is nearest to sample i of the bead: near the
-    same share of the length, since other turns may come nearer."""
+    """Arc length of the place on the source, whose points are at `along` (m), nearest to sample i of the bead.
+
+    Only places near the same share of the length count, since other turns may come nearer.
+    """
     if i in (0, len(bead.s) - 1):
         return float(along[0 if i == 0 else -1])
     middle = bead.s[i] / bead.length * along[-1]
@@ -90,16 +92,16 @@ def _notes(splits: Sequence[Split]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class PiecewiseSurface(ReadOnlyArrays, SurfaceOver):
-    """The surface beneath a toolpath whose beads are pieces of others: origin (n) of those, begin (n) along them [m]."""
+    """The surface beneath pieces of beads: `origin` (n), the bead of each, and `begin` (n), its start on that [m]."""
 
     origin: Ints
     begin: Array
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Normals on which a piece is laid."""
+        """Normals beneath a piece."""
         return self.surface.normals_on(int(self.origin[bead]), s + self.begin[bead], tips)
 
     def before(self, bead: int) -> Surface:
-        """The surface when so many pieces have been printed; of a bead that is begun it knows nothing yet."""
+        """The surface after so many pieces have been printed; a bead counts only when it is complete."""
         whole = int(self.origin[bead]) if bead < len(self.origin) else int(self.origin[-1]) + 1
         return self.surface.before(whole)

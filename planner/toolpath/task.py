@@ -1,8 +1,8 @@
 """What a bead fixes for the robot (NozzleTask), and what it leaves free: roll, tilt and the holder's joints.
 
-Roll is counted from a direction in the tangent plane that is smooth along the bead and does not spin. Where the nozzle
-may lean, the frames stand on smoothed normals: what is laid on noisy ones hands their noise to every joint. What the cones
-bound is judged on the true normals all the same.
+Roll is measured from a direction in the tangent plane that is smooth along the bead and does not spin. Where the nozzle
+may tilt, the frames follow smoothed normals, since noisy ones pass their noise on to every joint. The cones are still
+checked against the true normals.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from planner.problem.process import ConesSpec, FibreSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.runs import cut_place, with_runs
 
-_SMOOTHING = 1.25e-3  # m: of the Gaussian that normals are smoothed with; published ones are noisy at such distances
-_SMOOTHED_SAMPLES = 1.5  # samples that it is at least
-_GRID = 8.0  # places on that length at which normals are smoothed
-_ANY_CONE = 2.0  # rad: one that bounds nothing
-_CONE_SHARE = 0.5  # of the nozzle's cone that smoothing may use up: what the cone is for needs the rest
+_SMOOTHING = 1.25e-3  # m: sigma of the Gaussian that smooths normals; published ones are noisy at such distances
+_SMOOTHED_SAMPLES = 1.5  # samples: least sigma
+_GRID = 8.0  # grid points per sigma, on which normals are smoothed
+_ANY_CONE = 2.0  # rad: a cone that bounds nothing
+_CONE_SHARE = 0.5  # × the nozzle's cone: what smoothing may use up; the rest is left for the cone's purpose
 
 _CLEAR = 0.3  # least sine of the angle between normals and an axis that is projected onto the tangent plane
 
@@ -38,8 +38,9 @@ _CLEAR = 0.3  # least sine of the angle between normals and an axis that is proj
 def roll_zeros(normals: Sequence[Array]) -> list[Array]:
     """Unit tangents (n, 3) for each bead's unit normals (n, 3).
 
-    Where one axis of the part frame keeps clear of all normals, it is its projection, the same on all beads. Else
-    the nearest to that at each bead's start, carried along without turning about the normal (parallel transport).
+    If one axis of the part frame keeps clear of all normals, its projection is used on all beads. Otherwise, each bead
+    starts with the projection of the axis clearest of its first normal, which is carried along without turning about
+    the normal (parallel transport).
     """
     sines = [np.sqrt(np.maximum(1.0 - n**2, 0.0)).min(axis=0) for n in normals]
     least = np.min(sines, axis=0)
@@ -69,7 +70,7 @@ def _transport(normals: Array, start: Array) -> Array:
         share = (r[0] * b[0] + r[1] * b[1] + r[2] * b[2]) / max(1.0 + cosine, 1e-9)
         for k in range(3):
             out[i, k] = r[k] - share * (a[k] + b[k])
-        # rounding, and nothing else, makes it leave the plane
+        # only rounding makes it leave the plane
         lean = out[i, 0] * b[0] + out[i, 1] * b[1] + out[i, 2] * b[2]
         size = 0.0
         for k in range(3):
@@ -81,20 +82,20 @@ def _transport(normals: Array, start: Array) -> Array:
 
 
 def smooth_normals(normals: Array, s: Array, cone: float) -> Array:
-    """Unit normals (n, 3) at arc lengths s (n) [m], smoothed along them; none turns by more than half of `cone` [rad].
+    """Unit normals (n, 3) at arc lengths s (n) [m], smoothed along the bead; none turns by more than half `cone` [rad].
 
-    Along the samples, that is: round a sharp corner, where samples draw together, the nozzle turns as slowly as the tip then
-    goes. One that turned on evenly there would ask the joints for many times the jerk of the tip.
+    Smoothing is by sample, not by length: around a sharp corner, where samples are closer together, the nozzle turns as
+    slowly as the tip then moves. If it kept turning evenly there, the joints would need many times the jerk of the tip.
     """
     if not np.ptp(normals, axis=0).any():
-        return normals  # of a level layer
+        return normals  # all the same, as on a level layer
     spacing = float(np.median(np.diff(s)))
     length, width = spacing * (len(s) - 1), max(_SMOOTHING, _SMOOTHED_SAMPLES * spacing)
     m = max(int(np.ceil(_GRID * length / width)), 1) + 1
     at_samples, even, sigma = np.arange(len(s)) * spacing, np.linspace(0.0, length, m), width / (length / (m - 1))
 
     def along(values: Array) -> Array:
-        """Values (n, k), smoothed; an end stays where it is, for what lies beyond it mirrors what lies before."""
+        """Values (n, k), smoothed; the ends stay in place, since values are point-mirrored beyond them."""
         at = np.stack([np.interp(even, at_samples, column) for column in values.T], axis=1)
         at = np.concatenate([2.0 * at[:1] - at[:0:-1], at, 2.0 * at[-1:] - at[-2::-1]])
         return np.asarray(CubicSpline(even, gaussian_filter1d(at, sigma, axis=0)[m - 1 : 2 * m - 1])(at_samples))
@@ -102,7 +103,7 @@ def smooth_normals(normals: Array, s: Array, cone: float) -> Array:
     smooth = _unit(along(normals))
     share = np.minimum(1.0, _CONE_SHARE * cone / np.maximum(angles_between(smooth, normals), 1e-12))
     if share.min() < 1.0:
-        # less of it near places that turn too far, and more again gradually
+        # less smoothing near places that turn too far, gradually more away from them
         beside = 2 * int(np.ceil(2.0 * width / spacing)) + 1
         share = np.minimum(
             share, np.clip(along(minimum_filter1d(share, beside, mode="nearest")[:, None])[:, 0], 0.0, 1.0)
@@ -112,7 +113,7 @@ def smooth_normals(normals: Array, s: Array, cone: float) -> Array:
 
 
 def noise_of(beads: Sequence[Bead]) -> tuple[float, float]:
-    """Angles [rad] that half of the beads' normals, and nearly all of them, are off what they are when they are smoothed."""
+    """Angles [rad] within which half, and 99 %, of the beads' normals are from the smoothed ones."""
     off = [angles_between(smooth_normals(bead.normals, bead.s, _ANY_CONE), bead.normals) for bead in beads]
     half, nearly_all = np.quantile(np.concatenate(off), (0.5, 0.99))
     return float(half), float(nearly_all)
@@ -126,7 +127,7 @@ def _unit(vectors: Array) -> Array:
 class Cones:
     """Half angles [rad] that bound the nozzle's and the layer's directions; pi where there is no bound.
 
-    tilt            between nozzle axis and surface normal; 0: the axis stands on the surface exactly
+    tilt            between nozzle axis and surface normal; 0: the axis is exactly normal to the surface
     nozzle_gravity  between nozzle axis and gravity
     layer_gravity   between surface normal and the vertical
     """
@@ -157,21 +158,25 @@ class Stop:
 class NozzleTask(ReadOnlyArrays):
     """The nozzle's path along one bead with its runs, sampled uniformly in the path parameter (n samples).
 
-    tip        (n, 3)    nozzle tip, part frame [m]
-    frames     (n, 3, 3) orientation R_part_nozzle at roll 0 and without tilt: z is the nozzle axis, x the zero of roll;
-                         smooth, and where the nozzle may tilt only near to the true normals
-    s          (n,)      arc length, 0 at the bead's start [m]
-    first, last          samples between which material is deposited
-    speed                commanded [m/s]
+    The tip is fixed, as is the axis up to its cones; roll about the axis (periodic), tilt within the cone and the
+    holder's joints are free.
 
-    cones                what the nozzle's axis may do
-    stops                where it comes to rest while material is deposited, in order of s
-    travel_speed         the tip's at most between beads and from and to home [m/s]
-    true_normals (n, 3)  unit normals of the surface, out of the part; None where the frames stand on them
-    material             that is laid, by its name
-
-    Fixed is the tip, and the axis up to its cones; free are roll about the axis (periodic), tilt within the cone,
-    and the holder's joints.
+    Attributes:
+        bead: Index of the bead.
+        name: Name of the bead.
+        layer: Index of its layer.
+        tip: Nozzle tip (n, 3), part frame [m].
+        frames: Orientation R_part_nozzle (n, 3, 3) at roll 0 and without tilt: z is the nozzle axis, x the zero of
+            roll; smooth; where the nozzle may tilt, only close to the true normals.
+        s: Arc length (n,), 0 at the bead's start [m].
+        first: First of the samples between which material is deposited.
+        last: Last of these samples.
+        speed: Commanded speed [m/s].
+        cones: Bounds on the nozzle's axis.
+        stops: Where it comes to rest while material is deposited, in order of s.
+        travel_speed: Greatest tip speed between beads and from and to home [m/s].
+        true_normals: Unit normals (n, 3) of the surface, out of the part; None if the frames follow them exactly.
+        material: Name of the material laid.
     """
 
     bead: int
@@ -194,12 +199,12 @@ class NozzleTask(ReadOnlyArrays):
 
     @property
     def normals(self) -> Array:
-        """True unit normals (n, 3) of the surface, on which all cones are judged."""
+        """True unit normals (n, 3) of the surface, part frame, against which all cones are checked."""
         return np.asarray(-self.frames[:, :, 2]) if self.true_normals is None else self.true_normals
 
     @property
     def moments(self) -> Array:
-        """When (n) the nozzle is at its samples, in beads: the number of this one and the share of it that is laid."""
+        """Progress (n,) of the print at the samples, in beads: this bead's number plus the share of it that is laid."""
         laid = (self.s - self.s[self.first]) / (self.s[self.last] - self.s[self.first])
         return np.asarray(self.bead + np.clip(laid, 0.0, 1.0))
 
@@ -214,8 +219,9 @@ def make_tasks(
     where: Complaint | None = None,
     travel_speed: float = math.inf,
 ) -> tuple[NozzleTask, ...]:
-    """One task a bead, in print order; speeds [m/s], that of beads without one of their own; length of run-in and run-out
-    [m], their ramp as in `with_runs`.
+    """One task per bead, in print order.
+
+    speed [m/s] is that of beads without their own; run_length [m] that of run-in and run-out; ramp as in `with_runs`.
 
     Raises InputError, made by `where`, for the shortest bead if that is too short to be laid with this fibre.
     """
@@ -240,7 +246,7 @@ def make_tasks(
 
 
 def tasks_of(problem: Problem, toolpath: Toolpath) -> tuple[NozzleTask, ...]:
-    """The tasks that a problem makes of its toolpath.
+    """The tasks of a problem's toolpath.
 
     Raises InputError for a bead that is too short for the problem's fibre.
     """

@@ -1,4 +1,4 @@
-"""Lines of a drawing that are drawn twice."""
+"""Finds lines of a drawing that are drawn twice."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.geometry import arc_lengths
 
-_LOOKS = 33  # places of a line by which it is told from others: not at even shares of its length, where lattices meet
+_LOOKS = 33  # places at which lines are compared: not at even shares of their length, where lattices meet
 
 
 class _Line(Protocol):
-    """Anything with points (n, 2); one that is closed may end at its first point or before it."""
+    """Anything with points (n, 2); a closed one may end at its first point or before it."""
 
     @property
     def points(self) -> Array: ...
@@ -29,7 +29,7 @@ Line = TypeVar("Line", bound=_Line)
 
 
 class _Seen(NamedTuple):
-    """A line by all its points (n, 2), and by some places (k, 2) on it."""
+    """All points (n, 2) of a line, and some places (k, 2) on it."""
 
     points: Array
     looks: Array
@@ -39,9 +39,9 @@ class _Seen(NamedTuple):
 def without_twins(
     lines: Sequence[Line], same: float, group: Callable[[Line], str] = lambda line: ""
 ) -> tuple[list[Line], int]:
-    """The lines without those that lie on another of their group, either way round, and how many these are.
+    """The lines without those that lie on another of their group, in either direction, and how many these are.
 
-    Closed ones may begin anywhere.
+    Closed lines may begin anywhere.
     """
     seen: dict[tuple[str, int, int, int], list[_Seen]] = defaultdict(list)
     kept = []
@@ -53,7 +53,7 @@ def without_twins(
         own = _Seen(points, looks, line.closed)
         x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))
         size, x, y = (round(float(value) / (4.0 * same)) for value in (arc[-1], x, y))
-        around = product((-1, 0, 1), repeat=3)  # twins may be of neighbouring lengths and places
+        around = product((-1, 0, 1), repeat=3)  # twins may be in neighbouring cells of length and place
         near = (seen.get((group(line), size + a, x + b, y + c), ()) for a, b, c in around)
         if any(_alike(own, other, same) for other in chain.from_iterable(near)):
             continue
@@ -72,7 +72,7 @@ def _alike(one: _Seen, other: _Seen, same: float) -> bool:
 
 
 def _away(places: Array, points: Array) -> float:
-    """How far the farthest of some places (k, 2) is from the line through points (n, 2)."""
+    """Greatest distance of places (k, 2) from the line through points (n, 2)."""
     way = np.diff(points, axis=0)
     square = np.maximum((way * way).sum(axis=1), np.finfo(float).tiny)
     most = 0.0

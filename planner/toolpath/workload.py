@@ -1,6 +1,6 @@
-"""How much there is to plan: waypoints, beads and places of the print, before curves are rounded and once they are laid.
+"""How much there is to plan: waypoints, beads and places of the print, before curves are rounded and once laid.
 
-Limits are those of `planner.base.budgets`. What is foreseen of curves is what `round_corners` will make of them.
+Limits are those of `planner.base.budgets`. Predictions for curves are of what `round_corners` will make of them.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from planner.problem import Problem
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.plane_paths import SAMPLES_PER_TOLERANCE, length
 
-_FEWEST = 9  # samples of a rounded path
-_STRUT, _WIDER = 0.25, 1.25  # as `print_body` has them: diameters between a strut's balls, and how wide a row may be
+_FEWEST = 9  # samples of a rounded path at least
+_STRUT, _WIDER = 0.25, 1.25  # ball diameters, as in `print_body`: spacing along a strut; widest single row
 
 
 @dataclass(frozen=True)
 class Workload:
-    """What planning has to do: numbers of beads, layers, waypoints, length [m] of all beads, and balls that stand for the print
-    as an obstacle."""
+    """The amount to plan: numbers of beads, layers and waypoints, length [m] of all beads, and number of balls that
+    represent the print as an obstacle."""
 
     beads: int
     layers: int
@@ -35,7 +35,7 @@ class Workload:
 
     @classmethod
     def of(cls, toolpath: Toolpath) -> Workload:
-        """Of beads that are laid."""
+        """The workload of a toolpath's beads."""
         return cls(
             beads=len(toolpath.beads),
             layers=toolpath.layers,
@@ -46,26 +46,26 @@ class Workload:
 
 
 def _balls(bead: Bead) -> float:
-    """How many balls `print_body` makes of a bead, about: rows of them beside each other, as thick as the bead."""
+    """About how many balls `print_body` makes of a bead: rows of them side by side, as thick as the bead."""
     thick = float(np.minimum(bead.width, bead.height).min())
     rows = balls_beside(float(bead.width.max()), thick)
     return max(bead.length / (_STRUT * thick if bead.round else thick) + 1.0, 2.0) * rows
 
 
 def balls_beside(width: float, thick: float) -> int:
-    """How many balls of a thickness stand side by side in a bead of a width [m]."""
+    """How many balls of diameter `thick` [m] side by side represent a bead of this `width` [m]."""
     return max(int(np.ceil(width / thick - _WIDER)), 0) + 1
 
 
 def samples_of(paths: Iterable[Array], tolerance: float) -> int:
-    """About how many samples `round_corners` makes of plane paths (n, 2) of each at a corner tolerance [m]."""
+    """About how many samples `round_corners` makes of plane paths (n, 2) at a corner tolerance [m]."""
     return sum(max(int(np.ceil(length(points) / tolerance * SAMPLES_PER_TOLERANCE)) + 1, _FEWEST) for points in paths)
 
 
 def check_curves(problem: Problem, paths: Sequence[Array], layers: int, field: str) -> None:
-    """Raise InputError, before any is rounded, for plane paths (n, 2) [m] that make too many waypoints in so many layers.
+    """Raise InputError, before rounding, for plane paths (n, 2) [m] that make too many waypoints in so many layers.
 
-    field: that sets the size of the paths
+    field: the one that sets the size of the paths
     """
     one = samples_of(paths, problem.process.corner_tolerance)
     drawn = _drawn(len(paths), sum(map(length, paths)))
@@ -78,7 +78,7 @@ def check_curves(problem: Problem, paths: Sequence[Array], layers: int, field: s
 
 
 def check_length(problem: Problem, total: float, layers: int) -> None:
-    """The same of paths that will be about so long in all layers together [m]."""
+    """As `check_curves`, for paths with a total length of about `total` [m] in all layers together."""
     count = round(total / problem.process.corner_tolerance * SAMPLES_PER_TOLERANCE)
     if count > WAYPOINTS.most:
         fits = f"{max(WAYPOINTS.most * layers // count, 1):,} of its {layers:,} layers"
@@ -86,12 +86,12 @@ def check_length(problem: Problem, total: float, layers: int) -> None:
 
 
 def longest(problem: Problem) -> float:
-    """Length [m] of paths that make as many waypoints as are planned at most."""
+    """Length [m] of paths that make as many waypoints as can be planned."""
     return WAYPOINTS.most * problem.process.corner_tolerance / SAMPLES_PER_TOLERANCE
 
 
 def check_threads(problem: Problem, lengths: Sequence[float], layers: Sequence[int]) -> None:
-    """The same of threads of these lengths (n) [m] in layers (n) that rise."""
+    """As `check_curves`, for threads of these lengths (n) [m] in ascending layers (n)."""
     tolerance = problem.process.corner_tolerance
     each = np.maximum(np.ceil(np.asarray(lengths) / tolerance * SAMPLES_PER_TOLERANCE) + 1, _FEWEST)
     total = np.cumsum(each)
@@ -105,7 +105,7 @@ def check_threads(problem: Problem, lengths: Sequence[float], layers: Sequence[i
 
 
 def check_laid(problem: Problem, toolpath: Toolpath) -> None:
-    """Raise InputError for a toolpath, whatever its source, that is too much to plan."""
+    """Raise InputError for a toolpath, whatever its source, that is too large to plan."""
     work = Workload.of(toolpath)
     if work.waypoints > WAYPOINTS.most:
         raise _too_many(
@@ -125,12 +125,12 @@ def check_laid(problem: Problem, toolpath: Toolpath) -> None:
 
 
 def check_beads(problem: Problem, count: int) -> None:
-    """Raise InputError for more beads than are planned."""
+    """Raise InputError for more beads than can be planned."""
     BEADS.check(count, "it makes", partial(problem.error, "layers"), "fewer layers or paths")
 
 
 def fewer(work: Workload, share: float) -> str:
-    """What of a print is a share of it, in words."""
+    """Which part of a print makes up the given share of it, in words."""
     return (
         f"{max(int(work.layers * share), 1):,} of its {work.layers:,} layers" if work.layers > 1 else "a smaller part"
     )

@@ -32,7 +32,7 @@ from planner.toolpath.workload import check_curves
 class Cylinder:
     """An upright cylinder on the part frame's xy plane; lengths in metres.
 
-    centre (2) of its axis in the part frame, which need not be the table's own axis
+    centre (2) of its axis in the part frame, which need not be the axis of the table
     """
 
     radius: float
@@ -47,13 +47,13 @@ class Cylinder:
         return outside + np.minimum(np.maximum(radial, axial), 0.0)
 
     def normals(self, points: Array) -> Array:
-        """Outward unit normals (n, 3) of the mantle at points (n, 3)."""
+        """Outward unit normals (n, 3) of the lateral surface at points (n, 3)."""
         d = points[:, :2] - self.centre
         d = d / np.hypot(d[:, 0], d[:, 1])[:, None]
         return np.column_stack([d, np.zeros(len(d))])
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """The mantle's at the tips (n, 3), whatever bead is laid there."""
+        """The lateral surface's normals at the tips (n, 3), whatever bead is laid there."""
         return self.normals(tips)
 
     def before(self, bead: int) -> Cylinder:
@@ -61,9 +61,9 @@ class Cylinder:
         return self
 
     def wrap(self, plane: Array, rise: float) -> tuple[Array, Array, Array]:
-        """Points, normals and upright directions (n, 3) of plane points (n, 2), `rise` above the mantle.
+        """Points, normals and upright directions (n, 3) of plane points (n, 2), `rise` above the lateral surface.
 
-        The plane's origin comes to half the cylinder's height at angle 0; x is arc length on the bare mantle.
+        The plane's origin maps to half the cylinder's height at angle 0; x is arc length on the bare lateral surface.
         """
         angle = plane[:, 0] / self.radius
         c, s, zero = np.cos(angle), np.sin(angle), np.zeros(len(plane))
@@ -76,7 +76,7 @@ class Cylinder:
 def wrap_layer(
     curves: Sequence[PlaneCurve], cylinder: Cylinder, layer: int, layer_height: float, width: float, height: float
 ) -> list[Bead]:
-    """Beads of one layer: layer k's nozzle tip runs k + 1 layer heights above the mantle."""
+    """Beads of one layer: layer k's nozzle tip runs k + 1 layer heights above the lateral surface."""
     rise = (layer + 1) * layer_height
     beads = []
     for curve in curves:
@@ -96,7 +96,7 @@ def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpat
     paths, told = drawn_paths(problem, spec)
     _check_fit(problem, paths, cylinder)
 
-    # On the outermost layer x is longest. Rounded in that layer's own metric once, all layers hold the
+    # x is longest on the outermost layer. With corners rounded once, in that layer's metric, all layers keep the
     # tolerance, have the same shape, and lie exactly above each other.
     stretch = np.array([1.0 + spec.count * spec.height / cylinder.radius, 1.0])
     clipped = Clipped.of([replace(path, points=path.points * stretch) for path in paths], process.bead.width)
@@ -126,13 +126,13 @@ def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpat
 
 
 def _check_left_out(problem: Problem, spec: LayersSpec | WrappedDxfSpec, clipped: Clipped) -> None:
-    """Raise InputError where more is left out than may be, or all."""
+    """Raise InputError if more is left out than permitted, or everything."""
     if clipped.share > spec.source.crumbs or not clipped.paths:
         raise clipped.refusal(problem, "layers.source.width_mm", clipped.share if clipped.paths else None)
 
 
 def drawn_paths(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:
-    """The paths of a drawing, and what is told of its file. Raises InputError for one that cannot be read."""
+    """The paths of a drawing, and notes about its file. Raises InputError if it cannot be read."""
     tolerance = problem.process.chord_tolerance
     if isinstance(spec.source, DxfSpec):
         return read_dxf(spec.source, tolerance, partial(problem.error, "layers.source.dxf"))

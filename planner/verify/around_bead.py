@@ -1,7 +1,7 @@
-"""What the extruder does around beads, and before the first move: that it is what the problem asks for.
+"""Whether the extruder does what the problem requires around beads and before the first move.
 
-Worked out anew here, from the samples (n), the events and the input alone. What pauses and changes of material ask for is
-looked at with them (`by_layer.py`, `material.py`).
+Derived independently, from the samples (n), the events and the input alone. What pauses and changes of material require
+is checked with them (`by_layer.py`, `material.py`).
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from planner.verify.checks import EVERYWHERE, Findings, Judged
 from planner.verify.material import INSTANT, SAMPLES, rest
 
 AMOUNT = 1e-9  # m of filament
-PLACE = 1e-5  # m along a bead, by which fibre may be cut before or behind its place
-KINDS = ("heat", "prime", "retract", "cut")  # events that are looked at here, beside purges
+PLACE = 1e-5  # m along the bead: fibre may be cut this far before or after its place
+KINDS = ("heat", "prime", "retract", "cut")  # events checked here, along with purges
 
 
 @dataclass(frozen=True)
 class AskedEvent:
-    """An event that the problem asks for.
+    """An event that the problem requires.
 
     bead          its index, or TRAVEL
-    since, until  when it may begin [s]
-    duration      [s]; amount: of filament that it moves [m]
+    since, until  earliest and latest start [s]
+    duration      [s]; amount: filament that it moves [m]
     """
 
     kind: str
@@ -37,7 +37,7 @@ class AskedEvent:
     amount: float
 
     def is_met_by(self, event: Event) -> bool:
-        """Whether an event is this one. NaN is none."""
+        """Whether an event meets this requirement; one with NaN does not."""
         return (
             self.since - INSTANT <= event.start <= self.until + INSTANT
             and abs(event.duration - self.duration) <= INSTANT
@@ -46,7 +46,7 @@ class AskedEvent:
 
 
 def around_beads(judged: Judged) -> Findings:
-    """The check that beads are primed, retracted and cut, and the print begun, as the problem asks."""
+    """The check that beads are primed, retracted and cut, and the print is started, as the problem requires."""
     wrong = [*_otherwise(judged), *_without_rest(judged)]
     where = wrong[0] if wrong else EVERYWHERE
     return Findings(
@@ -55,9 +55,9 @@ def around_beads(judged: Judged) -> Findings:
 
 
 def _otherwise(judged: Judged) -> Iterator[str]:
-    """Events that are asked for and not there, or other than asked, and those that nobody asks for, in words."""
+    """Required events that are missing or differ, and events that nothing requires, in words."""
     t = judged.trajectory
-    rests: dict[int, list[float]] = {}  # when those that the problem asks for have had their time, and may purge
+    rests: dict[int, list[float]] = {}  # by bead: ends of required rests, after which a purge is allowed
     for event in t.events:
         if _is_rest(judged, event):
             rests.setdefault(event.bead, []).append(event.start + event.duration)
@@ -79,7 +79,7 @@ def _words(kind: str, bead: int) -> str:
 
 
 def _asked(judged: Judged) -> Iterator[AskedEvent]:
-    """All that the problem asks for, each within the samples that tell when it is due."""
+    """All events that the problem requires, each with the window of its start, as exactly as the samples show it."""
     process, t = judged.problem.process, judged.trajectory
     start, begin, near = process.start, float(t.t[0]), SAMPLES * t.dt
     hot = [start.bed_c, start.nozzle_c, *(process.nozzle_c(name) for name in process.materials)]
@@ -93,7 +93,7 @@ def _asked(judged: Judged) -> Iterator[AskedEvent]:
     for i in range(t.first_bead, len(beads)):
         own, at = processes[beads[i].material], judged.samples[i]
         if not len(at):
-            continue  # which is another check's to say
+            continue  # another check reports that
         first, last = (float(t.t[k]) for k in at[[0, -1]])
         if own.prime_length > 0.0:
             takes = own.prime_length / own.prime.speed
@@ -108,7 +108,7 @@ def _asked(judged: Judged) -> Iterator[AskedEvent]:
 
 
 def _is_rest(judged: Judged, event: Event) -> bool:
-    """Whether an event is a pause, or a change to a material that the bead before is not of, as the problem asks for it."""
+    """Whether an event is a required rest: a pause, if the problem has any, or a real change of material."""
     beads = judged.toolpath.beads
     if event.kind == "change" and judged.trajectory.first_bead < event.bead < len(beads):
         return beads[event.bead - 1].material != beads[event.bead].material
@@ -116,7 +116,7 @@ def _is_rest(judged: Judged, event: Event) -> bool:
 
 
 def _without_rest(judged: Judged) -> Iterator[str]:
-    """Rests in which robot or extruder move: that at home before the first move, and those at cuts, in words."""
+    """Rests in which the robot or the extruder moves (at home before the first move, and at cuts), in words."""
     start, t = judged.problem.process.start, judged.trajectory
     begins = Event("heat", TRAVEL, float(t.t[0]), start.heat_wait, 0.0)
     short = SAMPLES * t.dt + INSTANT

@@ -1,4 +1,4 @@
-"""Checks of a print that goes on upon what a scan found: where it begins, and how high the nozzle is over it."""
+"""Checks of a print continued on a scanned one: where it begins, and how high the nozzle is above the scan."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from planner.problem.as_printed import AsPrintedSpec
 from planner.verify.checks import DIGITS, Findings, Judged, place
 from planner.verify.scanned import deviations, normals_along, over_print, scanned_top, still_off
 
-OVER_PRINT = 0.1e-3  # m, by which the nozzle may be higher or lower over the print than its bead is high
-OVER_LOW = 0.5  # of that height, likewise: of lower beads no more, as beads may be pressed or be made higher
-_LOOKS = 4000  # places of the first layer above
-_MAP_SHARE = 0.1  # of those, at least, that measured places of the map lie around: beads may bridge what lies beneath
+OVER_PRINT = 0.1e-3  # m: the nozzle's height above the print may differ from its bead's height by this much
+OVER_LOW = 0.5  # × the bead's height: the same limit for low beads, as beads may be pressed or be made higher
+_LOOKS = 4000  # places checked on the first layer above the scan
+_MAP_SHARE = 0.1  # of those: least share with measured places around them, since beads may bridge what lies beneath
 
 
 def as_printed(judged: Judged) -> Findings:
-    """Checks and metrics of what is laid upon a scanned print; none without one."""
+    """Checks and metrics of material laid on a scanned print; none without a scan."""
     spec = judged.problem.as_printed
     if spec is None or not judged.trajectory.deposit.any():
         return Findings()
@@ -37,7 +37,7 @@ def as_printed(judged: Judged) -> Findings:
 
 
 def _begins_above(judged: Judged, spec: AsPrintedSpec) -> Iterator[Check]:
-    """What is laid is above the scanned layer, and all of it."""
+    """All material is laid above the scanned layer."""
     first = judged.trajectory.first_bead
     layers = [bead.layer for bead in judged.toolpath.beads]
     wrong = sum(layer < spec.after_layer for layer in layers[first:])
@@ -46,7 +46,7 @@ def _begins_above(judged: Judged, spec: AsPrintedSpec) -> Iterator[Check]:
 
 
 def _over_print(judged: Judged, spec: AsPrintedSpec) -> tuple[list[Check], dict[str, float]]:
-    """On the first layer above, the nozzle is as high over the print as its bead is, by the map's measured places."""
+    """On the first layer above the scan, the nozzle is one bead's height above the map's measured places."""
     t, beads = judged.trajectory, judged.toolpath.beads
     first = np.array([bead.layer == spec.after_layer for bead in beads])
     at = np.flatnonzero(t.deposit & first[t.bead])
@@ -60,7 +60,7 @@ def _over_print(judged: Judged, spec: AsPrintedSpec) -> tuple[list[Check], dict[
     i = int(np.argmax(off / most))
     seen = float(known.mean())
     ok = bool(off[i] <= most[i] * (1.0 + DIGITS)) and seen >= _MAP_SHARE
-    where = place(t, int(at[i])) if seen >= _MAP_SHARE else f"{seen:.0%} of the layer have measured places around"
+    where = place(t, int(at[i])) if seen >= _MAP_SHARE else f"only {seen:.0%} of the layer has measured places nearby"
     worst = Check(
         "nozzle over the print",
         float(off[i]) * 1e3,

@@ -1,7 +1,7 @@
-"""Checks of what a program asks for where runs have taught that a robot executes something else than it is asked for.
+"""Checks of the motion that a program asks for, where runs have shown that the robot executes something else.
 
-The plan is verified as what the robot executes. What its program asks for leaves it by a little: it must be what the file
-of corrections says, and the robot must be safe even if it did just that.
+The plan is verified as the motion that the robot executes. The motion that its program asks for differs from the plan
+slightly: it must differ exactly as the file of corrections says, and be safe even for a robot that followed it exactly.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from planner.verify.executed import executed_motion
 from planner.verify.nozzle import beyond
 from planner.verify.verdict import joint_limits, rotations
 
-WITHIN = 2e-5  # m: the tip against what the file says, as against the path
+WITHIN = 2e-5  # m: the tip against the file of corrections; the same tolerance as against the path
 TURNED = np.radians(0.05)  # rad: the nozzle's orientation against the plan's
-ASKED = "asked "  # before names of all checks here
-# What of the plan's own motion's is checked of the asked one, too; accelerations are the controller's own to plan.
+ASKED = "asked "  # prefix of the names of all checks here
+# Checks of the plan that the asked motion must pass as well; accelerations are left to the controller.
 ALSO = {
     "joint range": "asked joint range",
     "rail range": "asked rail range",
@@ -53,7 +53,7 @@ def as_run(
     asked: Trajectory | None,
     body: PrintBody | None = None,
 ) -> Findings:
-    """Checks and metrics of the motion that programs ask for; none where that is the plan's own.
+    """Checks and metrics of the motion that programs ask for; none where it is the plan itself.
 
     body: as for `verify`. Raises InputError for a file of corrections that cannot be read.
     """
@@ -65,14 +65,14 @@ def as_run(
     body = body or print_body(toolpath, standing(cell))
     shift = learned_shifts(spec.corrections, trajectory)
     most = float(np.linalg.norm(shift, axis=1).max(initial=0.0))
-    # executed motion keeps the distances asked for; the asked one may come nearer by as much as it is beside it
+    # the executed motion keeps the required distances; the asked one may come nearer by as much as it is displaced
     keep = problem.collision
     nearer = keep.model_copy(update={"nozzle": max(keep.nozzle - most, 0.0), "arm": max(keep.arm - most, 0.0)})
     eased = problem.model_copy(update={"collision": nearer, "as_run": None})
     with ThreadPoolExecutor() as pool:
         apart = pool.submit(sweep_cell, eased, cell, toolpath, asked, body)
         judged = Judged(eased, cell, toolpath, asked, executed_motion(cell, asked), body)
-        # the tip's own rule is left to the plan's motion: where the tip is asked to be, the nozzle does not come
+        # the rule for the tip is checked on the plan alone: the nozzle never reaches the asked position of the tip
         near = beyond(judged)
         off = np.linalg.norm(judged.motion.tip - trajectory.tip, axis=1)
         checks = [
@@ -85,7 +85,7 @@ def as_run(
 
 
 def learned_shifts(path: Path, t: Trajectory) -> Array:
-    """By how much a file of corrections has the tip displaced (n, 3) [m] where material is laid; 0 elsewhere.
+    """Displacement (n, 3) [m] of the tip by a file of corrections where material is laid; 0 elsewhere.
 
     Raises InputError for a file that cannot be read.
     """
@@ -113,8 +113,8 @@ def learned_shifts(path: Path, t: Trajectory) -> Array:
 
 
 def _as_learned(judged: Judged, planned: Trajectory, shift: Array) -> Check:
-    """On beads the asked tip is the plan's, displaced as the file says, the nozzle's orientation the same, and all else as
-    planned; tip and orientation that programs are written from are those of the asked joints."""
+    """On beads the asked tip is the plan's, displaced as the file says; orientation and all else are as planned. The
+    tip and orientation that programs are written from are those of the asked joints."""
     asked = judged.trajectory
     other = [name for name in _SAME if not np.array_equal(getattr(asked, name), getattr(planned, name))]
     off = np.linalg.norm(judged.motion.tip - planned.tip - shift, axis=1)

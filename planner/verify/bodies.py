@@ -1,4 +1,4 @@
-"""The bodies of a cell for coal, where they are at a posture (Pinocchio), and which of them can hit which."""
+"""The bodies of a cell for coal, their poses at a posture (Pinocchio), and the pairs that can collide."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from planner.cell.urdf import link_frame
 from planner.verify.executed import joint_poses
 
 ARM, HEAD, HOLDER, CARRIED, FIXTURE = "arm", "head", "holder", "carried", "fixture"
-_TRIED = 64  # postures in which two bodies of one robot must all be too near, to count as joined
-BUILT = 5e-3  # m: what never comes farther apart belongs together; the default of collision.arm_mm
+_TRIED = 64  # random postures: two bodies of one robot that are too near in all of them count as joined
+BUILT = 5e-3  # m: bodies that never come farther apart count as joined; the default of collision.arm_mm
 _CORNERS = 48  # of the polygon around a circle
-_ROUND = 0.01  # of a body's reach, by which its corners may lie beneath what is round
+_ROUND = 0.01  # × a body's reach: its corners may lie this far inside a round surface
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,12 @@ class CheckedBody:
     """One body of the cell.
 
     carrier   what carries it: a row of `CellBodies.poses`
-    joints    how many of its robot's joints carry it: 0 stands still
-    solid, T_carrier_solid         it and its pose (4, 4)
-    geometry, T_carrier_geometry   coal's
-    centre, reach                  of a ball around it (3), in the carrier's frame [m]
-    link, beside                   whose it is, and which links of its robot it may touch, as its file says
-    below     of what carries an arm: no neighbour of the arm's first link, though nothing moves between it and the foot
+    joints    how many of its robot's joints carry it; 0 if it stands still
+    solid, T_carrier_solid         its shape and pose (4, 4)
+    geometry, T_carrier_geometry   the same for coal
+    centre, reach                  centre (3) and radius of a bounding ball, in the carrier's frame [m]
+    link, beside                   its link, and the links of its robot that it may touch, as the robot's file says
+    below     part of what carries an arm: no neighbour of the arm's first link, though fixed to the arm's foot
     """
 
     name: str
@@ -53,9 +53,9 @@ class CheckedBody:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two things (indices) that can hit each other, the distance that they are to keep [m], and how they can move.
+    """Two bodies (indices) that can collide, the distance that they must keep [m], and how they can move.
 
-    swing (nq)  a bound on how far a place of one moves against the other for each radian of a joint [m]
+    swing (nq)  upper bound on how far a point of one moves relative to the other per radian of each joint [m]
     """
 
     a: int
@@ -73,7 +73,7 @@ class CellBodies:
 
     @classmethod
     def of(cls, cell: Cell) -> CellBodies:
-        """All bodies of the cell: links, print head, fixtures and what is carried."""
+        """All bodies of the cell: links, print head, fixtures and carried bodies."""
         things = [_thing(body, FIXTURE, 0, 0, np.eye(4)) for body in cell.fixtures]
         arm = cell.arm_robot
         T_last_flange = arm.model.frames[link_frame(arm.model, arm.tip)].placement.homogeneous
@@ -110,7 +110,7 @@ class CellBodies:
         )
 
     def _holder_q(self, q: Array) -> Array:
-        """Angles of all of the holder's joints, held ones too."""
+        """Angles of all of the holder's joints, including held ones."""
         cell = self.cell
         names = [] if cell.holder_robot is None else list(cell.holder_robot.joint_names)
         out = np.empty((len(q), len(names)))
@@ -126,15 +126,15 @@ class CellBodies:
         return () if robot is None else tuple(1 + robot.joint_names.index(name) for name in self.cell.holder.names)
 
     def moved_by(self, thing: CheckedBody) -> tuple[int, int]:
-        """Joints of the posture that carry a thing: the first of them, and the one after the last."""
+        """Joints of the posture that carry a body: index of the first, and one past the last."""
         if thing.kind not in (HOLDER, CARRIED):
             return 0, thing.joints
         na = len(self.cell.arm)
         return na, na + sum(joint <= thing.joints for joint in self.free)
 
     def swing(self, thing: CheckedBody, above: int = 0) -> Array:
-        """How far a place of the thing can move for each radian, or metre, of the cell's joints (nq), those above one of
-        its robot."""
+        """How far a point of the body can move per radian, or metre, of the cell's joints (nq); `above`: only joints of
+        its robot beyond this one count."""
         na, nq = len(self.cell.arm), len(self.cell.joint_names)
         out = np.zeros(nq)
         of_holder = thing.kind in (HOLDER, CARRIED)
@@ -149,7 +149,7 @@ class CellBodies:
             elif i in self.free:
                 out[na + self.free.index(i)] = 1.0 if slides else far
             far += float(np.linalg.norm(model.jointPlacements[i].translation))
-            if slides:  # what turns before it has a longer arm by that
+            if slides:  # its stroke lengthens the lever arm of all joints before it
                 joint = i - 1 if not of_holder else na + self.free.index(i) if i in self.free else None
                 ends = [model.lowerPositionLimit[i - 1], model.upperPositionLimit[i - 1]]
                 if joint is not None:
@@ -158,17 +158,18 @@ class CellBodies:
         return out
 
     def name(self, thing: CheckedBody) -> str:
-        """Its name, with the robot's where both robots have such a body."""
+        """Its name, preceded by its kind where bodies of another kind have the same name."""
         alike = {other.kind for other in self.things if other.name == thing.name}
         return thing.name if len(alike) == 1 else f"{thing.kind} {thing.name}"
 
 
 def pairs(bodies: CellBodies, nozzle: float, arm: float) -> tuple[Pair, ...]:
-    """Pairs that can hit each other, with the distances that the head keeps, and links and fixtures [m].
+    """Pairs that can collide; nozzle: distance that the head must keep, arm: that links and fixtures must keep [m].
 
-    Neighbouring links touch, and those that a robot's file names. Bodies of one robot that are too near in whatever posture
-    belong together, and the flange parts most of a head from the link before it for good. What does not move in the part
-    frame, where the nozzle lays its first layer, is looked at with part and print.
+    Left out are neighbouring links and those named in a robot's file, which may touch; bodies of one robot that are too
+    near in every posture, which count as joined; and most of a head with the link before it, which the flange keeps
+    apart. Bodies at rest in the part frame, where the nozzle lays its first layer, are checked against the head with
+    part and print.
     """
     found = []
     for i, j, above in _candidates(bodies):
@@ -183,7 +184,7 @@ def pairs(bodies: CellBodies, nozzle: float, arm: float) -> tuple[Pair, ...]:
 
 
 def all_at_home(bodies: CellBodies, found: Sequence[Pair], nozzle: float) -> tuple[Pair, ...]:
-    """The pairs, and with them the head and what does not move in the part frame: at home nothing is laid."""
+    """The pairs, and those of the head with bodies at rest in the part frame: at home nothing is laid."""
     heads = [i for i, thing in enumerate(bodies.things) if thing.kind == HEAD]
     more = [
         Pair(i, j, nozzle, bodies.swing(bodies.things[i]))
@@ -195,7 +196,7 @@ def all_at_home(bodies: CellBodies, found: Sequence[Pair], nozzle: float) -> tup
 
 
 def stands_with_part(bodies: CellBodies, thing: CheckedBody) -> bool:
-    """Whether a thing does not move in the part frame."""
+    """Whether a body is at rest in the part frame."""
     free = bodies.free
     if thing.kind == CARRIED:
         return True
@@ -205,18 +206,18 @@ def stands_with_part(bodies: CellBodies, thing: CheckedBody) -> bool:
 
 
 def _same(a: CheckedBody, b: CheckedBody) -> bool:
-    """Whether two things belong to one robot."""
+    """Whether two bodies belong to one robot."""
     arms, holders = (ARM, HEAD), (HOLDER, CARRIED)
     return {a.kind, b.kind} <= set(arms) or {a.kind, b.kind} <= set(holders)
 
 
 def _candidates(bodies: CellBodies) -> Iterator[tuple[int, int, int]]:
-    """Indices of things that may meet, and for those of one robot the joint above which they move against each other."""
+    """Indices of bodies that may meet, and for those of one robot the last joint that moves both alike."""
     things = bodies.things
     for i, a in enumerate(things):
         for j, b in enumerate(things):
             if _same(a, b):
-                bolted = bool({HEAD, CARRIED} & {a.kind, b.kind})  # to a flange: no link, and beside none
+                bolted = bool({HEAD, CARRIED} & {a.kind, b.kind})  # to a flange: not a link, and no link's neighbour
                 named = a.kind == b.kind and b.link in a.beside
                 between = b.joints - a.joints + a.below
                 if a.joints < b.joints and (between > 1 or bolted) and not named:
@@ -230,8 +231,8 @@ def _candidates(bodies: CellBodies) -> Iterator[tuple[int, int, int]]:
 
 
 def _apart_along_axis(bodies: CellBodies, link: CheckedBody, head: CheckedBody) -> float:
-    """How far apart [m] the head and the link before the flange stay along the axis about which one turns against the other,
-    in whatever posture; of other pairs -inf."""
+    """How far apart [m] the head and the link before the flange stay in every posture, along the axis about which they
+    turn relative to each other; -inf for other pairs."""
     robot, k = bodies.cell.arm_robot, head.joints
     if (link.kind, head.kind) != (ARM, HEAD) or link.joints != k - 1 or robot.slides[k - 1]:
         return -np.inf
@@ -244,20 +245,20 @@ def _apart_along_axis(bodies: CellBodies, link: CheckedBody, head: CheckedBody) 
 
 
 def _corners(thing: CheckedBody) -> Array:
-    """Corners (n, 3) of a thing's surface in its carrier's frame."""
+    """Corners (n, 3) of a body's surface in its carrier's frame."""
     T = thing.T_carrier_solid
     return np.asarray(triangles_of(thing.solid)[0] @ T[:3, :3].T + T[:3, 3])
 
 
 def many_postures(cell: Cell) -> Array:
-    """Postures (n, nq) at random: what is too near in all of them is built that way."""
+    """Random postures (n, nq): bodies that are too near in all of them are built that way."""
     limits = cell.limits
     return np.random.default_rng(0).uniform(limits.q_min, limits.q_max, (_TRIED, len(limits.q_min)))
 
 
 def _without_joined(bodies: CellBodies, found: tuple[Pair, ...]) -> tuple[Pair, ...]:
-    """Without pairs of one robot that are too near in all of many postures: they are built that way, whatever is asked for.
-    Those that only cannot be as far apart as is asked for keep BUILT."""
+    """The pairs without those of one robot that are too near in all of many postures: they are built that way. Pairs
+    that reach BUILT but never the required distance must keep BUILT."""
     poses = bodies.poses(many_postures(bodies.cell))
     distance = Distances(bodies)
 
@@ -282,7 +283,7 @@ class Distances:
         self._request.enable_signed_distance = True
 
     def of(self, pair: Pair, poses: Array) -> float:
-        """The distance [m] with carriers at poses (carriers, 4, 4); negative by how deep they are in each other."""
+        """The distance [m] with carriers at poses (carriers, 4, 4); minus the penetration depth where they overlap."""
         return float(self.along(pair, poses[None])[0])
 
     def along(self, pair: Pair, poses: Array) -> Array:
@@ -292,14 +293,14 @@ class Distances:
         return np.array([self.between(a.geometry, each, b.geometry, other) for each, other in zip(Ta, Tb, strict=True)])
 
     def between(self, a: coal.CollisionGeometry, Ta: Array, b: coal.CollisionGeometry, Tb: Array) -> float:
-        """The same of two of coal's bodies at poses in the world."""
+        """The same for two of coal's bodies at poses in the world."""
         self._result.clear()
         Fa, Fb = coal.Transform3s(Ta[:3, :3], Ta[:3, 3]), coal.Transform3s(Tb[:3, :3], Tb[:3, 3])
         return float(coal.distance(a, Fa, b, Fb, self._request, self._result))
 
 
 def coal_geometry(solid: Solid) -> tuple[coal.CollisionGeometry, Array]:
-    """coal's body and where its own frame lies in the solid's (4, 4). A cone becomes a polygon around its circles."""
+    """coal's body, and its frame's pose (4, 4) in the solid's. A cone's circles become polygons around them."""
     T = np.eye(4)
     if isinstance(solid, Box):
         return coal.Box(*solid.size), T
@@ -329,7 +330,7 @@ def _points(points: Array) -> coal.StdVec_Vec3s:
 
 
 def triangle_model(vertices: Array, triangles: Ints) -> coal.BVHModelOBBRSS:
-    """Triangles (m, 3) of vertices (n, 3), as coal has them."""
+    """Triangles (m, 3) of vertices (n, 3), as coal's model."""
     corners = coal.StdVec_Triangle()
     corners.extend([coal.Triangle(*corner) for corner in triangles.tolist()])
     out = coal.BVHModelOBBRSS()
@@ -364,5 +365,5 @@ def _thing(body: Body, kind: str, carrier: int, joints: int, T_carrier_frame: Ar
 
 
 def _joint_poses(robot: Robot, q: Array, T_world_base: Array) -> Array:
-    """Poses (n, joints, 4, 4) in the world of a robot's joint frames, after their turns."""
+    """World poses (n, joints, 4, 4) of a robot's joint frames, moved by their joints."""
     return np.asarray(T_world_base @ joint_poses(robot.model, q))

@@ -1,11 +1,11 @@
-"""How little a point can have to spare by how high it stands: what lies beneath the nozzle's tip is passed over by its height.
+"""Lower bounds of a point's margin by its height, so that points beneath the nozzle's tip can be skipped.
 
-A ball of points about a bead reaches above the bead, so that a search by balls opens all that lies around the nozzle. By
-their heights above the plane through the tip, at right angles to the nozzle's axis, most points need no look: `HeightBounds`
-holds for each height the least margin (see `nozzle`) that a point so high or lower can have, wherever it is.
+A bounding ball of points on a bead reaches above the bead, so a search by balls opens everything around the nozzle. By
+height above the plane through the tip, perpendicular to the nozzle's axis, most points can be ruled out: `HeightBounds`
+holds, for each height, the least margin (see `nozzle`) that a point at that height or lower can have, wherever it is.
 
-The slower the axis turns, the longer a bound holds: while the nozzle slides along a plane, nothing rises. All is in the
-part frame, in metres; n counts samples, b bodies, h heights, m nodes of the tree.
+The slower the axis turns, the longer a bound holds: while the nozzle slides along a plane, nothing rises. All values
+are in the part frame, in metres; n counts samples, b bodies, h heights, m nodes of the tree.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from planner.cell.solids import BOX, CAPSULE, FRUSTUM
 from planner.collision.point_tree import FROM_THE_START, SolidNumbers, solid_distance
 from planner.verify.checks import FAR
 
-_STEP = 1e-5  # m, from height to height
-_ABOVE = 4e-3  # m above the tip: what stands higher is looked at
+_STEP = 1e-5  # m between heights
+_ABOVE = 4e-3  # m above the tip: higher points are not ruled out by height
 _COAXIAL = 1e-9  # m or rad
 
 
 class HeightBounds(NamedTuple):
     """least (b, h) [m]: the least margin of points whose height is at most low + _STEP * column; floor (b) [m]: height of
-    each body's lowest point; widest (m) [m]: of each node, the greatest radius of its points."""
+    each body's lowest point; widest (m) [m]: greatest radius of the points of each node."""
 
     least: Array
     floor: Array
@@ -37,10 +37,11 @@ class HeightBounds(NamedTuple):
 
 @njit
 def height_bounds(tree, solids, rule, deep, nearest, fine):
-    """Bounds of all bodies, from `deep` [m] beneath the tip on.
+    """Bounds of all bodies, from `deep` [m] beneath the tip upwards.
 
-    tree: `TreeArrays`; solids: `HeadSolids`; rule: `TipRule` with the least slack of the way; nearest [m]: what is nearer to
-    the tip is one cell; fine: share of its distance from the tip that a cell is high, and rad that it is wide.
+    tree: `TreeArrays`; solids: `HeadSolids`; rule: `TipRule` with the least slack along the path; nearest [m]:
+    everything nearer to the tip is one cell; fine: a cell's height relative to its distance from the tip, and its width
+    in rad.
     """
     count, size = len(solids.kind), int(np.ceil((deep + _ABOVE) / _STEP)) + 1
     least, floor = np.empty((count, size)), np.empty(count)
@@ -61,7 +62,7 @@ def height_bounds(tree, solids, rule, deep, nearest, fine):
 
 @inner_njit
 def _widest(tree):
-    """The greatest radius of the points of each node; children come after their parents."""
+    """The greatest radius of the points of each node; children are stored after their parents."""
     left, right = tree.left, tree.right
     out = np.zeros(len(left))
     for node in range(len(left) - 1, -1, -1):
@@ -75,7 +76,7 @@ def _widest(tree):
 
 @inner_njit
 def _lowest(solids, j):
-    """Height of a body's lowest point above the tip, or less: its axis z goes down into the part."""
+    """Height of a body's lowest point above the tip, or a lower bound; the nozzle's z axis points into the part."""
     T, size, kind = solids.T_solid_frame[j], solids.size[j], solids.kind[j]
     dx, dy, dz = T[0, 2], T[1, 2], T[2, 2]  # the axis in the body's frame
     if kind == BOX:
@@ -92,8 +93,8 @@ def _lowest(solids, j):
 
 @inner_njit
 def _by_cells(solids, j, far, rule, deep, nearest, fine, least):
-    """Fill the bounds (h) of a body that is round about the nozzle's axis: the plane of radius and height is cut into cells,
-    and the least margin within each counts from its lowest height on."""
+    """Fill in the bounds (h) of a body that is round about the nozzle's axis: the plane of radius and height is divided
+    into cells, and the least margin within each counts from its lowest height upwards."""
     kind, size, planes, T = solids.kind[j], solids.size[j], solids.planes, solids.T_solid_frame[j]
     least[:] = np.inf
     top = len(least)
@@ -114,21 +115,21 @@ def _by_cells(solids, j, far, rule, deep, nearest, fine, least):
             first = max(first, 0)
             least[first] = min(least[first], value)
         away = nearest * (1.0 + 0.5 * fine) if away == 0.0 else away * (1.0 + fine)
-        half = 0.75 * fine * away  # half of a cell's diagonal, and a little
+        half = 0.75 * fine * away  # slightly more than half of a cell's diagonal
     for i in range(1, top):
         least[i] = min(least[i], least[i - 1])
 
 
 @inner_njit
 def rise(way, a, b, c):
-    """By how much a point at the tip rises at most [m], and the axis turns [rad], from sample c to any from a to b."""
+    """Most that a point at the tip rises [m] and that the axis turns [rad] from sample c to any from a to b."""
     tip, rotation, path, turned = way.tip, way.rotation, way.path, way.turned
     most = 0.0
     for k in range(a, b + 1):
         up = 0.0
         for x in range(3):
             up -= (tip[c, x] - tip[k, x]) * rotation[k, x, 2]
-        if k > a:  # and between the two
+        if k > a:  # and between samples
             up += (path[k] - path[k - 1]) * (turned[k] - turned[k - 1])
         most = max(most, up)
     return most, max(turned[c] - turned[a], turned[b] - turned[c])
@@ -136,8 +137,8 @@ def rise(way, a, b, c):
 
 @inner_njit
 def least_so_high(bounds, j, height, radius, still, graze):
-    """The least margin [m] that points up to a height can have, whose radius is at most this; still: whether some may be
-    there from the start."""
+    """The least margin [m] that points up to a height can have if their radius is at most `radius`; still: whether some
+    of them may be there from the start."""
     i = int(np.ceil((height - bounds.low) / _STEP))
     if i >= bounds.least.shape[1]:
         return -np.inf
@@ -147,8 +148,8 @@ def least_so_high(bounds, j, height, radius, still, graze):
 
 @inner_njit
 def none_so_near(tree, solids, j, bounds, way, a, b, T, rule, target, room):
-    """Whether no point has a margin less than the target [m] in samples a .. b, by its distance or its height at the sample
-    in their middle; T (4, 4) takes points into the body's frame there; rule: `TipRule` with the least slack of the way."""
+    """Whether no point has a margin below the target [m] in samples a .. b, by its distance or its height at the middle
+    sample; T (4, 4) takes points into the body's frame there; rule: `TipRule` with the least slack along the path."""
     time, since, left, right = tree.time, tree.since, tree.left, tree.right
     solid = SolidNumbers(solids.kind[j], solids.size[j], solids.planes)
     c, seeing = (a + b) // 2, way.seen[b]
@@ -189,7 +190,7 @@ def none_so_near(tree, solids, j, bounds, way, a, b, T, rule, target, room):
 
 @inner_njit
 def height_above(x, y, z, p, R):
-    """How high a point stands above the plane through the tip p (3) at right angles to the axis of R (3, 3), which goes down."""
+    """Height of a point above the plane through the tip p (3), perpendicular to the downward z axis of R (3, 3)."""
     return (p[0] - x) * R[0, 2] + (p[1] - y) * R[1, 2] + (p[2] - z) * R[2, 2]
 
 
@@ -200,8 +201,8 @@ def _away(x, y, z, p):
 
 @inner_njit
 def _spared(centre, radius, around, solid, T, p, rule, still, gone, turn, target):
-    """Whether balls of points keep the target by their distance, wherever within `around` of the centre they are, while the
-    tip moves by `gone` [m] and turns by `turn` [rad]."""
+    """Whether balls of points keep the target by their distance, wherever they are within `around` of the centre, while
+    the tip moves by `gone` [m] and the nozzle turns by `turn` [rad]."""
     x, y, z = centre[0], centre[1], centre[2]
     d = solid_distance(
         solid.kind, solid.size, solid.planes,

@@ -1,6 +1,6 @@
-"""What the problem asks of layers: how long each takes at least, and rests at home before some.
+"""What the problem requires of layers: the least time for each, rests at home before some, and the order of beads.
 
-Worked out anew here, from the samples (n) and the input alone.
+Derived independently, from the samples (n) and the input alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ AMOUNT = 1e-9  # m of filament
 
 
 def by_layer(judged: Judged) -> Findings:
-    """Checks of what is asked of layers; none where nothing is."""
+    """Checks of what the problem requires of layers; none where it requires nothing."""
     process = judged.problem.process
     checks = [] if process.layer_time is None else [_times(judged, process.layer_time.least)]
     checks += [_pauses(judged)] if process.pauses else []
@@ -28,7 +28,7 @@ def by_layer(judged: Judged) -> Findings:
 
 
 def _times(judged: Judged, least: float) -> Check:
-    """From where a layer begins to where the next one does passes the time [s] that a layer takes at least."""
+    """The time [s] from the start of one layer to the start of the next is at least the required one."""
     t = judged.trajectory
     name, limit = "time of a layer", least - SAMPLES * t.dt
     begins = [first for first, _ in _begun(judged)]
@@ -40,7 +40,7 @@ def _times(judged: Judged, least: float) -> Check:
 
 
 def _begun(judged: Judged) -> Iterator[tuple[int, int]]:
-    """The first sample of each layer that is begun, in order of time, and its bead."""
+    """The first sample of each layer that is begun, and its bead, in order of time."""
     t = judged.trajectory
     laid = np.flatnonzero(t.deposit)
     layers = np.array([bead.layer for bead in judged.toolpath.beads])[t.bead[laid]]
@@ -52,7 +52,7 @@ def _begun(judged: Judged) -> Iterator[tuple[int, int]]:
 
 
 def _pauses(judged: Judged) -> Check:
-    """Before each layer that asks for it the robot rests at home, and what is to be purged then is."""
+    """Before each layer that requires it, the robot rests at home and purges the required amount."""
     t, worst, where = judged.trajectory, 0.0, EVERYWHERE
     layers = {judged.toolpath.beads[bead].layer: bead for sample, bead in list(_begun(judged))[1:]}
     asked = {
@@ -72,12 +72,12 @@ def _pauses(judged: Judged) -> Check:
 
 
 def _order(judged: Judged) -> Check:
-    """In each layer beads come in the order of the patterns that their names fit."""
+    """In each layer, beads come in the order of the patterns that their names match."""
     patterns = [pattern.replace("[", "[[]") for pattern in judged.problem.process.order]
     t, wrong, where = judged.trajectory, 0, EVERYWHERE
     last: dict[int, int] = {}
     starts = np.flatnonzero(t.deposit & (np.concatenate([[-1], t.bead[:-1]]) != t.bead))
-    around = lines_around(judged.problem, judged.toolpath)  # before all others, whatever the patterns say
+    around = lines_around(judged.problem, judged.toolpath)  # skirt lines come first, whatever the patterns say
     for i in t.bead[starts][t.bead[starts] >= around].tolist():
         bead = judged.toolpath.beads[i]
         name = drawn_name(bead)
@@ -104,7 +104,7 @@ def _missing(judged: Judged, event: Event, pause: PauseSpec) -> float:
 
 
 def _ends_behind(t: Trajectory, event: Event) -> bool:
-    """Whether an event does not end before its bead begins, or begins before the bead before ends."""
+    """Whether an event ends after its bead begins, or begins before the previous bead ends."""
     laid = np.flatnonzero(t.deposit)
     rows = laid[np.searchsorted(t.bead[laid], event.bead) :][:1]
     before = laid[laid < rows[0]][-1:] if len(rows) else rows

@@ -1,4 +1,4 @@
-"""What all parts of the verifier share: what is judged, what a part finds, and checks that name the worst sample."""
+"""Shared by all parts of the verifier: the input, the findings, and checks that name the worst sample."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.executed import ExecutedMotion
 from planner.verify.scanned import drawn_tips
 
-SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
-DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
-FAR = 1e-3 * FARTHEST_KEPT_MM  # m: distances are told apart up to this one; what is farther away counts as this far
-TOLERANCE = 1e-4  # m, by which the least distance that is found may exceed the true one
-_PIECE = re.compile(r", piece \d+$")  # behind the name of a drawn bead, where it is laid in pieces
+SPEED_TOLERANCE = 0.02  # × the commanded speed: a sample off by no more counts as at speed
+DIGITS = 1e-9  # relative tolerance of comparisons with limits, for rounding
+FAR = 1e-3 * FARTHEST_KEPT_MM  # m: greatest distance reported; anything farther away counts as this far
+TOLERANCE = 1e-4  # m: the least distance found may exceed the true one by this much
+_PIECE = re.compile(r", piece \d+$")  # suffix of a drawn bead's name where it is laid in pieces
 _SKIRT = re.compile(r"skirt [1-9]\d*")
-EVERYWHERE = "everywhere"  # the place of a check that holds at all places alike
+EVERYWHERE = "everywhere"  # the place named by a check that has no worst one
 
 
 @dataclass(frozen=True)
 class Judged:
-    """What is judged (n samples), and what it is judged by.
+    """The trajectory under test (n samples), and what it is judged by.
 
     trajectory   every number in it is finite
     motion       what the joints of the trajectory do, by Pinocchio
-    body         part and print as obstacles, and what stands in the cell
+    body         part and print as obstacles, and the bodies that stand with them
     """
 
     problem: Problem
@@ -55,21 +55,21 @@ class Judged:
 
     @cached_property
     def stretches(self) -> tuple[tuple[Cell, slice], ...]:
-        """The cell with the nozzle that is in use, and the samples of which it is: see `by_nozzle`."""
+        """The cell with each nozzle that comes into use, and the samples while it is in use: see `by_nozzle`."""
         return by_nozzle(self.cell, self.trajectory.events, self.trajectory.t)
 
     def cell_at(self, sample: int) -> Cell:
-        """The cell with the nozzle that is in use at a sample."""
+        """The cell with the nozzle in use at a sample."""
         return next(cell for cell, rows in self.stretches if sample < rows.stop)
 
     @cached_property
     def commanded(self) -> Array:
-        """Speed (k) [m/s] that the problem asks for each bead of the toolpath: see `asked_speeds`."""
+        """Speed (k) [m/s] that the problem sets for each bead of the toolpath: see `asked_speeds`."""
         return asked_speeds(self.problem.process, self.toolpath)
 
     @cached_property
     def drawn_tip(self) -> Array:
-        """The tip (n, 3) [m] of the motion, where it would be if what was printed before were as it was drawn."""
+        """The tip (n, 3) [m] as it would be if the scanned print below were exactly as drawn."""
         spec = self.problem.as_printed
         return self.motion.tip if spec is None else drawn_tips(spec, self.toolpath, self.trajectory, self.motion)
 
@@ -84,12 +84,12 @@ class Findings:
 
 
 def drawn_name(bead: Bead) -> str:
-    """The name of what was drawn, of a piece of it too."""
+    """The name of the drawn bead; also of one that is a piece of it."""
     return _PIECE.sub("", bead.name)
 
 
 def lines_around(problem: Problem, toolpath: Toolpath) -> int:
-    """How many beads come first that are lines around the first layer by their names, where the problem asks for some."""
+    """How many of the first beads are skirt lines around the first layer, by their names; 0 without a skirt."""
     count, layer = 0, toolpath.beads[0].layer
     while problem.process.skirt is not None and count < len(toolpath.beads):
         bead = toolpath.beads[count]
@@ -100,12 +100,12 @@ def lines_around(problem: Problem, toolpath: Toolpath) -> int:
 
 
 def asked_speeds(process: ProcessSpec, toolpath: Toolpath) -> Array:
-    """Speed (k) [m/s] that the process asks for each bead, by its layer, its name, and the time of its layer."""
+    """Speed (k) [m/s] that the process sets for each bead, by its layer, its name, and the least time of its layer."""
     names = [drawn_name(bead) for bead in toolpath.beads]
     layers = np.array([bead.layer for bead in toolpath.beads])
     speeds = np.full(len(names), process.speed)
     for spec in process.speeds:
-        pattern = spec.beads.replace("[", "[[]")  # of the marks of a pattern only * and ? are
+        pattern = spec.beads.replace("[", "[[]")  # only * and ? are wildcards
         called = np.array([fnmatchcase(name, pattern) for name in names])
         last = np.inf if spec.to_layer is None else spec.to_layer
         speeds[called & (layers + 1 >= spec.from_layer) & (layers + 1 <= last)] = spec.speed
@@ -114,13 +114,13 @@ def asked_speeds(process: ProcessSpec, toolpath: Toolpath) -> Array:
     which = np.unique(layers, return_inverse=True)[1]
     length = np.array([bead.length for bead in toolpath.beads])
     share = np.minimum(np.bincount(which, length / speeds)[which] / process.layer_time.least, 1.0)
-    share[layers == layers[np.argmax([np.argmax(layers == layer) for layer in layers])]] = 1.0  # the one begun last
+    share[layers == layers[np.argmax([np.argmax(layers == layer) for layer in layers])]] = 1.0  # the layer begun last
     lowest = np.minimum(speeds, process.layer_time.floor(process.speed))
     return np.asarray(np.maximum(share * speeds, lowest))
 
 
 def joined(parts: Sequence[Findings]) -> Findings:
-    """All findings of some parts, in the order of the parts."""
+    """The findings of several parts as one, in the order of the parts."""
     return Findings(
         tuple(check for part in parts for check in part.checks),
         {name: value for part in parts for name, value in part.metrics.items()},
@@ -129,14 +129,14 @@ def joined(parts: Sequence[Findings]) -> Findings:
 
 
 def place(trajectory: Trajectory, i: int) -> str:
-    """The place of a sample in words."""
+    """Time and place of a sample in words."""
     bead = int(trajectory.bead[i])
     spot = f"bead {bead}, {trajectory.s[i] * 1e3:.1f} mm" if bead >= 0 else "travel"
     return f"t = {trajectory.t[i]:.3f} s, {spot}"
 
 
 def samples_of(t: Trajectory, beads: int) -> list[NDArray[np.intp]]:
-    """Samples of each bead, in order of time; beads may come in any order, and more than once."""
+    """Samples of each bead, in order of time; beads may occur in any order, and more than once."""
     order = np.argsort(t.bead, kind="stable")
     bounds = np.searchsorted(t.bead[order], np.arange(beads + 1))
     return [order[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
@@ -160,11 +160,11 @@ def check_least(t: Trajectory, name: str, values: Array, limit: float, unit: str
 def bead_errors(toolpath: Toolpath, t: Trajectory, lean: Array) -> Array:
     """Height error (n) [m] at a bead's edges where the nozzle leans from the surface normal by lean (n) [rad].
 
-    A nozzle's end face is a plane through the tip, square to its axis. Where the axis leans by an angle a, a point of
-    the face at distance r from the tip, up or down the slope, is r sin(a) higher or lower than the tip. The face shapes
-    a bead of width w out to r = w/2: leaning across the bead it leaves one edge (w/2) sin(a) too high and the other as
-    much too low; leaning along the bead, its trailing rim leaves the whole bead too high or too low by as much. The tip
-    itself stays on its line, so that the lean changes no height there.
+    A nozzle's end face is a plane through the tip, perpendicular to its axis. Where the axis leans by an angle a, a
+    point of the face at distance r from the tip, up or down the slope, is r sin(a) higher or lower than the tip. The
+    face shapes a bead of width w out to r = w/2: leaning across the bead, it leaves one edge (w/2) sin(a) too high and
+    the other as much too low; leaning along the bead, its trailing rim leaves the whole bead that much too high or too
+    low. The tip itself stays on its line, so the lean does not change the height there.
     """
     width = np.zeros(len(t))
     for at, bead in zip(samples_of(t, len(toolpath.beads)), toolpath.beads, strict=True):

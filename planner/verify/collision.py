@@ -1,9 +1,9 @@
-"""Least distances of robots, fixtures and print from each other along a trajectory, by Pinocchio's poses and coal.
+"""Least distances between robots, fixtures and print along a trajectory, by Pinocchio's poses and coal.
 
-Conservative advancement: between two instants the distance of a pair changes by no more than its joints turn times how
-far they swing it. An interval that could hide too small a distance by that bound is halved, down to a part of a sample.
+Conservative advancement: between two instants, the distance of a pair changes by no more than its joints' travel times
+its swing. An interval that could hide too small a distance by that bound is halved, down to a fraction of a sample.
 
-An instant is a time in parts of a sample (_PARTS of them); n counts samples, p pairs. Distances are in metres.
+An instant is a time in fractions of a sample (_PARTS per sample); n counts samples, p pairs. Distances are in metres.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ from planner.verify.checks import DIGITS, FAR, TOLERANCE, Findings, Judged, plac
 from planner.verify.nozzle import Nearness, asked_at, check_nozzle, print_times
 
 MOST_APPROACHES = 12  # pairs of bodies that the plan names
-_SEEN = 0.1  # m: greatest distance from the print that is computed; the larger, the longer a body can be left out
+_SEEN = 0.1  # m: greatest distance from the print computed; the larger, the longer a body can be skipped
 _ABOUT = 0.95  # relative accuracy of distances beyond FAR
-_SHARE = 0.2  # accuracy of a least distance, relative to its difference from the distance asked for
-_PARTS = 16  # instants of a sample
+_SHARE = 0.2  # accuracy of a least distance, relative to its difference from the required one
+_PARTS = 16  # instants per sample
 _FIRST = 512 * _PARTS  # instants between the first evaluations
 
 
 @dataclass(frozen=True)
 class Swept:
-    """Least distances of pairs (p) along a trajectory: distance (p) [m], at (p) the time of each [samples].
+    """Least distances of pairs (p) along a trajectory: distance (p) [m], and `at` (p), the time of each [samples].
 
     points (p)   nearest point of the print, in its tree's order; -1 for pairs of bodies
     nearest (n)  least distance of all pairs at each sample [m], FAR at most; interpolated between evaluations
@@ -69,8 +69,7 @@ class Swept:
 
 @dataclass(frozen=True)
 class PrintPair:
-    """A body (index) that can come near part and print, the distance that it is to keep [m], its swing (see Pair), and the
-    body as a convex solid."""
+    """A body (index) that can come near part and print, its required distance [m], swing (see Pair), convex solid."""
 
     a: int
     need: float
@@ -81,8 +80,8 @@ class PrintPair:
 def print_pairs(bodies: CellBodies, need: float, body: PrintBody) -> tuple[PrintPair, ...]:
     """Pairs of part and print with links and, where the part moves, with fixtures; hollow meshes are left out.
 
-    Of the robot that holds the part, links that carry all of its free joints stand with it; those that are too near to the
-    part in whatever posture are built that way.
+    Links of the robot that holds the part are left out if all of its free joints carry them, since they move with the
+    part, or if they are too near to the part in every posture: they are built that way.
     """
     part = part_thing(bodies, body.tree)
     found = []
@@ -98,8 +97,8 @@ def print_pairs(bodies: CellBodies, need: float, body: PrintBody) -> tuple[Print
 
 
 def _without_joined(bodies: CellBodies, found: tuple[PrintPair, ...], body: PrintBody) -> tuple[PrintPair, ...]:
-    """Without links of the robot that holds the part that are too near to it in all of many postures, before the print; as
-    `pairs` has it of one robot's bodies."""
+    """The pairs without links of the robot that holds the part that are too near to the bare part in all of many
+    postures, as in `pairs` for bodies of one robot."""
     if not any(bodies.things[pair.a].kind == HOLDER for pair in found):
         return found
     q = many_postures(bodies.cell)
@@ -117,14 +116,14 @@ def _without_joined(bodies: CellBodies, found: tuple[PrintPair, ...], body: Prin
 
 
 def sweep(bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array) -> Swept:
-    """Least distances of pairs along postures q (n, nq); now (n): what is printed at each sample, see `print_times`."""
+    """Least distances of pairs along postures q (n, nq); now (n): printed so far at each sample, see `print_times`."""
     if not pairs:
         return Swept(np.empty(0), np.empty(0), np.empty(0, dtype=np.int64), np.full(len(q), FAR), 0)
     return _Sweep(bodies, pairs, q, body, now).done()
 
 
 def part_thing(bodies: CellBodies, tree: PointTree) -> CheckedBody:
-    """Part and print, points in a tree, as a body with what carries it; in the part frame."""
+    """Part and print, points of a tree in the part frame, as a body with its carrier."""
     cell = bodies.cell
     robot = cell.holder_robot
     if robot is None:
@@ -141,9 +140,10 @@ def part_thing(bodies: CellBodies, tree: PointTree) -> CheckedBody:
 class Apart:
     """How near bodies of the cell and the print come to each other.
 
-    rows        samples in which that is so: while one nozzle is in use
-    hits        pairs of bodies, and
-    near_print  bodies that can come near the print; swept is of both, in this order
+    rows        samples that this holds for: while one nozzle is in use
+    hits        pairs of bodies
+    near_print  bodies that can come near the print
+    swept       least distances of hits, then of near_print
     """
 
     rows: slice
@@ -154,11 +154,11 @@ class Apart:
 
 
 def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, body: PrintBody) -> tuple[Apart, ...]:
-    """Least distances of robots, fixtures and print from each other along a trajectory; body: as for `verify`.
+    """Least distances between robots, fixtures and print along a trajectory; body: as for `verify`.
 
-    One nozzle after the other, as they are in use."""
+    One result for each stretch with one nozzle in use."""
     spec, now = problem.collision, print_times(toolpath, t)
-    alone = body.without_bodies  # bodies that stand with the print are exact among the pairs
+    alone = body.without_bodies  # the pairs have bodies that stand with the print as exact solids
     known: dict[int, tuple[CellBodies, tuple[Pair, ...], tuple[PrintPair, ...]]] = {}
     found = []
     for own, rows in by_nozzle(cell, t.events, t.t):
@@ -178,7 +178,7 @@ def keep_apart(
     """The checks of nozzle, head, links, fixtures and print, and the pairs of bodies that come nearest.
 
     near: the results of `by_the_tip` and `beyond`; apart: of `sweep_cell`. Distances are found up to FAR;
-    `clearance_min_mm` is the least of all beyond the tip's zone (see `nozzle`).
+    `clearance_min_mm` is the least of all outside the tip's zone (see `nozzle`).
     """
     cell, t, body, spec = judged.cell, judged.trajectory, judged.body, judged.problem.collision
     rule, beyond = near
@@ -215,7 +215,7 @@ def keep_apart(
 
 
 def check_start(problem: Problem, cell: Cell) -> None:
-    """Raise InputError where bodies are too near to each other in the start posture, with any nozzle in use, or where nozzles
+    """Raise InputError if bodies are too near to each other in the start posture, with any nozzle in use, or if nozzles
     touch each other: no plan from there could pass."""
     for k in range(max(len(cell.nozzles), 1)):
         bodies = CellBodies.of(cell.with_nozzle(k))
@@ -224,7 +224,7 @@ def check_start(problem: Problem, cell: Cell) -> None:
 
 
 def _check_nozzles_apart(problem: Problem, bodies: CellBodies) -> None:
-    """Raise InputError where nozzles that are on the flange together touch each other."""
+    """Raise InputError if nozzles that are on the flange together touch each other."""
     poses, distances = bodies.poses(bodies.cell.home[None])[0], Distances(bodies)
     heads = [
         i for i, thing in enumerate(bodies.things) if thing.kind == HEAD and thing.name.startswith(f"{NOZZLE}{OF}")
@@ -232,7 +232,7 @@ def _check_nozzles_apart(problem: Problem, bodies: CellBodies) -> None:
     for i, j in itertools.combinations(heads, 2):
         one, other = (bodies.things[k].name.removeprefix(f"{NOZZLE}{OF}") for k in (i, j))
         if one != other and distances.of(Pair(i, j, 0.0, np.empty(0)), poses) <= 0.0:
-            hint = "set tip_mm and axis apart, or mounted: one, where they are exchanged"
+            hint = "move tip_mm and axis apart, or set mounted: one if nozzles are exchanged"
             raise problem.error(f"cell.nozzles.{other}", f"it touches the nozzle {one}", hint)
 
 
@@ -247,22 +247,22 @@ def _check_start(problem: Problem, bodies: CellBodies) -> None:
     k = int(np.argmin(lacking))
     a, b = (bodies.name(bodies.things[i]) for i in (found[k].a, found[k].b))
     if apart[k] <= 0.0:
-        reason = f"{a} and {b} are {-apart[k] * 1e3:.1f} mm into each other in the start posture"
+        reason = f"{a} and {b} are {-apart[k] * 1e3:.1f} mm inside each other in the start posture"
     else:
         reason = f"{a} and {b} are only {apart[k] * 1e3:.1f} mm apart in the start posture"
     key = "nozzle_mm" if HEAD in (bodies.things[found[k].a].kind, bodies.things[found[k].b].kind) else "arm_mm"
-    hint = f"{found[k].need * 1e3:g} mm are asked for (collision.{key}): another posture, or check where things stand"
+    hint = f"{found[k].need * 1e3:g} mm are required (collision.{key}): change the posture, or check the placement"
     raise problem.error("cell.home_deg", reason, hint)
 
 
 class _Sweep:
-    """The search for the least distances: its input, prepared, and what has been found so far."""
+    """The search for the least distances: its prepared input, and the results so far."""
 
     def __init__(
         self, bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array
     ) -> None:
         self.bodies, self.pairs, self.q, self.tree, self.now = bodies, pairs, q, body.tree, now
-        self.turned = np.zeros(q.shape)  # made in place: of a large print it is a large part of all memory
+        self.turned = np.zeros(q.shape)  # filled in place: for a large print it takes much of the memory
         np.subtract(q[1:], q[:-1], out=self.turned[1:])
         np.abs(self.turned, out=self.turned)
         np.cumsum(self.turned, axis=0, out=self.turned)
@@ -292,7 +292,7 @@ class _Sweep:
         self.looks = 0
 
     def done(self) -> Swept:
-        """Halve intervals until none can hide a distance that is too small."""
+        """Halve intervals until none can hide a distance below its target."""
         end = (len(self.q) - 1) * _PARTS
         knots = np.unique(np.append(np.arange(0, end, _FIRST), end))
         p, k = len(self.pairs), len(knots)
@@ -313,18 +313,18 @@ class _Sweep:
         return Swept(self.least, self.at, self.points, self.nearest, self.looks)
 
     def _target(self) -> Array:
-        """Distances (p) below which a smaller distance of a pair would still matter."""
+        """Targets (p) [m]: a distance of a pair matters only if it is below this."""
         found = self.least - np.maximum(TOLERANCE, _SHARE * np.abs(self.least - self.need))
         return np.where(self.least >= self.need, np.maximum(found, self.need - TOLERANCE), found)
 
     def _bound(self, pair: Ints, a: Ints, b: Ints, da: Array, db: Array) -> Array:
-        """Lower bounds of pairs' distances between instants a and b, at which they are da and db."""
+        """Lower bounds of pairs' distances between instants a and b, where they are da and db."""
         turned = self._at(self.turned, b) - self._at(self.turned, a)
         moved = (turned * self.swing[pair]).sum(axis=1)
         both = 0.5 * (da + db - moved)
         grown = self.printed[pair] & (
             self._printed(b) > self._printed(a)
-        )  # at b all is printed that is printed before it
+        )  # whatever is printed in between is there at b
         return np.where(grown, db - moved, both)
 
     def _at(self, values: Array, instant: Ints) -> Array:
@@ -334,11 +334,11 @@ class _Sweep:
         return (1.0 - share) * values[k] + share * values[np.minimum(k + 1, len(values) - 1)]
 
     def _printed(self, instant: Ints) -> Array:
-        """What is printed at instants: all that is printed at the next sample."""
+        """How much is printed at instants: as much as at the next sample."""
         return self.now[-(-instant // _PARTS)]
 
     def _distances(self, pair: Ints, instant: Ints) -> Array:
-        """Distances of pairs at instants, beyond FAR lower bounds of them; keeps the least."""
+        """Distances of pairs at instants, or lower bounds of those beyond FAR; keeps the least."""
         out = np.empty(len(pair))
         order = np.argsort(instant, kind="stable")
         for rows in np.array_split(order, max(1, len(order) // 100_000)):
@@ -362,7 +362,7 @@ class _Sweep:
         return np.asarray(np.linalg.norm(middle[0] - middle[1], axis=1) - reach)
 
     def _of_pair(self, k: int, instant: Ints, poses: Array, which: Ints) -> Array:
-        """Distances of one pair at instants (n), which increase, where carriers are at poses[which]."""
+        """Distances of one pair at instants (n), in increasing order, with carriers at poses[which]."""
         pair = self.pairs[k]
         self.looks += len(instant)
         if isinstance(pair, Pair):
@@ -376,9 +376,9 @@ class _Sweep:
         return distance
 
     def from_print(self, pair: PrintPair, poses: Array, which: Ints, now: Array) -> tuple[Array, Ints]:
-        """Distances (n) of a body from what is printed at times now (n), and the nearest points (n) or -1.
+        """Distances (n) of a body from the print at times now (n), and the nearest points (n) or -1.
 
-        Distances are _SEEN at most, and within _ABOUT beyond FAR.
+        Distances are capped at _SEEN; beyond FAR their accuracy is _ABOUT.
         """
         thing, solid, tree = self.bodies.things[pair.a], self.solids[pair.a], self.tree
         T_world_part = poses[which, self.part.carrier] @ self.part.T_carrier_solid
@@ -391,12 +391,12 @@ class _Sweep:
 
 
 def _spare(approach: Approach) -> float:
-    """Distance beyond the one to keep [m]."""
+    """Distance in excess of the required one [m]."""
     return approach.distance - approach.need
 
 
 def _once(approaches: list[Approach]) -> list[Approach]:
-    """The worst of those with the same two names."""
+    """The worst approach for each pair of names."""
     worst: dict[frozenset[str], Approach] = {}
     for each in sorted(approaches, key=_spare):
         worst.setdefault(frozenset((each.a, each.b)), each)
@@ -421,7 +421,7 @@ def _approaches(apart: Apart, body: PrintBody) -> tuple[Approach, ...]:
 
 
 def _check(name: str, found: tuple[Approach, ...], need: float, t: Trajectory, unknown: str) -> Check:
-    """The check of the pair with the least distance beyond the one it is to keep."""
+    """The check of the pair with the least distance in excess of its required one."""
     worst = min(found, key=_spare, default=None)
     if worst is None or worst.distance >= FAR:
         words = [f"nothing within {FAR * 1e3:g} mm"] if found else []
@@ -433,7 +433,7 @@ def _check(name: str, found: tuple[Approach, ...], need: float, t: Trajectory, u
 
 
 def _unknown(cell: Cell) -> str:
-    """Which robots have no bodies, and which joints of the others carry none; empty if all do."""
+    """Which robots have no bodies, and which joints of the others carry none, in words; empty if all have them."""
     robots = [robot for robot in (cell.arm_robot, cell.holder_robot) if robot is not None]
     names = []
     for robot in robots:
@@ -446,7 +446,7 @@ def _unknown(cell: Cell) -> str:
 
 
 def _hollow(cell: Cell) -> str:
-    """Which fixtures are not held against a print that moves, since they do not fill their hulls; empty if there are none."""
+    """Which fixtures are not checked against a moving print as they do not fill their hulls; empty if there is none."""
     meshes = [body for body in cell.fixtures if isinstance(body.solid, Mesh) and body.solid.filled is None]
     names = " and ".join(body.name for body in meshes)
     return f"not checked: print and {names}, hollow" if meshes and len(cell.holder) else ""

@@ -1,8 +1,8 @@
 """Beads of one layer that cross on the surface: there material is laid twice, and the nozzle passes through it.
 
-Worked out from the executed motion alone, seen along the normals of what is printed on. Onstein et al. (section 2.2) ask of
-a path that it does not intersect itself, since extrusion is hard to stop and start. A bead that only reaches another one, as
-at the seam of a closed one, does not cross it.
+Found from the executed motion alone, seen along the normals of the surface printed on. Onstein et al. (section 2.2)
+require that a path does not intersect itself, since extrusion is hard to stop and start. A bead that merely touches
+another, as at the seam of a closed one, does not cross it.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ from planner.verify.checks import EVERYWHERE, Findings, Judged, place
 from planner.verify.interlayer import LaidPlaces, laid_places
 
 CROSSINGS = "beads cross nowhere"
-_GOES_ON = 0.5  # of a bead's width, by which a line goes on past another one that it crosses
-_OTHER_SHEET = 0.5  # cosine between normals, below which lines lie on different sides of a fold
+_GOES_ON = 0.5  # × a bead's width: a line that crosses another continues this far past it
+_OTHER_SHEET = 0.5  # cosine between normals; below it, lines lie on different sides of a fold
 
 
 def crossing(judged: Judged) -> Findings:
-    """The check that no beads of a layer cross, where the problem asks for it or covers faces; or how many do."""
+    """The check that no beads of a layer cross, or just the number of crossings, as the problem asks. By default, the
+    check for prints on faces, and nothing for others."""
     asked = judged.problem.process.crossings
     if asked is None and isinstance(judged.problem.layers, FaceLayersSpec):
         asked = "refused"
@@ -43,8 +44,8 @@ def crossing(judged: Judged) -> Findings:
 
 
 def crossings_of(places: LaidPlaces) -> tuple[Ints, Ints]:
-    """Places (k) from which on a bead crosses another one of its layer, or itself, and the places (k) of that, which was laid
-    before; in order of time."""
+    """Places (k) just before a bead crosses another one of its layer, or itself, and those (k) on the line laid
+    earlier; in order of time."""
     a = np.flatnonzero(np.diff(places.run) == 0)
     step = places.tip[a + 1] - places.tip[a]
     size = np.linalg.norm(step, axis=1)
@@ -67,8 +68,7 @@ def crossings_of(places: LaidPlaces) -> tuple[Ints, Ints]:
 
 
 def _meet(places: LaidPlaces, i: Ints, j: Ints) -> tuple[Flags, Array, Array]:
-    """Whether the lines from places i (k) and j (k) to the next ones cross, seen along the normal; and at what shares of
-    them (k)."""
+    """Whether segments from places i (k) and j (k) to the next cross, seen along the normal, and where (shares, k)."""
     normal = places.normal[i] + places.normal[j]
     p, q = places.tip[i], places.tip[j]
     u, v = places.tip[i + 1] - p, places.tip[j + 1] - q
@@ -85,7 +85,7 @@ def _meet(places: LaidPlaces, i: Ints, j: Ints) -> tuple[Flags, Array, Array]:
 
 
 def _goes_on(places: LaidPlaces, at: Ints, share: Array) -> Flags:
-    """Whether lines go on, forwards and backwards, where they cross: at a share of the way from places (k) to the next."""
+    """Whether lines continue far enough both ways where they cross, at a fraction of the segment from places (k) on."""
     step = np.append(np.linalg.norm(np.diff(places.tip, axis=0), axis=1), 0.0)
     gone = np.append(0.0, np.cumsum(step)[:-1])
     begins = np.append(True, np.diff(places.run) != 0)

@@ -1,4 +1,4 @@
-"""What a cell looks like: links by their meshes or shells; print head, fixtures and what is carried by their bodies."""
+"""What a cell looks like: links by their meshes or shells; print head, fixtures and carried bodies by their solids."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from planner.cell.surfaces import TriangleSurface
 from planner.plan import CellView
 from planner.verify.bodies import ARM, CARRIED, FIXTURE, HEAD, HOLDER, CellBodies, CheckedBody
 
-BRASS = "#c8a24a"  # of nozzles
+BRASS = "#c8a24a"  # nozzles
 COLOURS = {HEAD: "#4a525b", FIXTURE: "#c3c9cf", CARRIED: "#b9a06a"}
 
 
 def cell_view(cell: Cell) -> CellView:
-    """What a cell looks like with all joints at 0; bodies by the names that approaches give them."""
+    """What a cell looks like with all joints at 0; bodies have the names that approaches use."""
     bodies = with_all_nozzles(CellBodies.of(cell))
     drawn = list(_drawn(bodies))
     return CellView(
@@ -37,7 +37,7 @@ def cell_view(cell: Cell) -> CellView:
 
 
 def with_all_nozzles(bodies: CellBodies) -> CellBodies:
-    """The bodies, and those of nozzles that are not on the flange while the cell's own is in use."""
+    """The bodies, and those of nozzles that are not on the flange while the cell's current one is in use."""
     there = {thing.name for thing in bodies.things}
     others = (CellBodies.of(bodies.cell.with_nozzle(k)) for k in range(len(bodies.cell.nozzles)))
     more = [thing for other in others for thing in other.things if thing.name not in there]
@@ -45,7 +45,7 @@ def with_all_nozzles(bodies: CellBodies) -> CellBodies:
 
 
 def _drawn(bodies: CellBodies) -> Iterator[tuple[list[CheckedBody], TriangleSurface]]:
-    """Bodies that are drawn as one, with their surface in the world, all joints at 0."""
+    """Groups of bodies drawn as one, with their surface in the world, all joints at 0."""
     cell, na = bodies.cell, bodies.cell.arm_robot.model.njoints - 1
     rest = bodies.poses(np.zeros((1, len(cell.joint_names))))[0]
     yield from _links(bodies, ARM, cell.arm_robot, [cell.T_world_base, *rest[1 : na + 1]])

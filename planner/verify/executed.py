@@ -1,4 +1,4 @@
-"""What the joints of a trajectory really do: Pinocchio on q(t), from the robots' own URDF models."""
+"""The motion that a trajectory's joints really execute: Pinocchio on q(t), with the robots' own URDF models."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from planner.cell.urdf import link_frame
 from planner.plan import Trajectory
 from planner.plan.plan import by_nozzle
 
-UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself
-_STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
-_PARALLEL = 0.02  # sine between axes that count as parallel
-_MEETS = 5e-3  # m: axes of a measured wrist that ought to meet are as near to each other
-_AHEAD = 4  # blocks that wait at most
+UNKNOWN = -1  # branch that no convention numbers but that of the inverse kinematics
+_STRAIGHT = 1e-3  # sine of joint 5's angle where axes 4 and 6 are parallel: if smaller, it is taken as 0, as by makers
+_PARALLEL = 0.02  # sine of the angle between axes that count as parallel
+_MEETS = 5e-3  # m: axes of a measured wrist that ought to meet come at least this near
+_AHEAD = 4  # most blocks waiting
 BLOCK = 8192  # samples at once: bounds the memory, since a Jacobian takes more than all that is kept of a sample
 
 
 @dataclass(frozen=True)
 class ExecutedMotion:
-    """The samples of a trajectory as its joints have them (n samples).
+    """The samples of a trajectory as its joints execute them (n samples).
 
-    tip, axis (n, 3) and rotation (n, 3, 3) of the nozzle in the part frame, where up (n, 3) is the world's
-    vertical; of the Jacobian at the tip, of the arm alone where a rail carries it, the
-    smallest singular value sigma (NaN in travel, where no limit stands on it) and the determinant, of seven axes
-    without the redundant one; branch (n), ABB's cfx, or UNKNOWN without a spherical wrist
+    tip, axis (n, 3), rotation (n, 3, 3)   of the nozzle, in the part frame
+    up (n, 3)      the world's vertical in the part frame
+    sigma, det (n) smallest singular value (NaN in travel, where it has no limit) and determinant of the Jacobian at the
+                   tip: of the arm alone where a rail carries it; det of seven axes without the redundant one
+    branch (n)     ABB's cfx, or UNKNOWN without a spherical wrist
     """
 
     tip: Array
@@ -45,12 +46,12 @@ class ExecutedMotion:
     branch: NDArray[np.int8]
 
     def rows(self, rows: slice) -> ExecutedMotion:
-        """Some samples of a motion, in its own memory."""
+        """Some samples of the motion, as views of its arrays."""
         return ExecutedMotion(**{name: values[rows] for name, values in vars(self).items()})
 
 
 def executed_motion(cell: Cell, trajectory: Trajectory) -> ExecutedMotion:
-    """Forward kinematics and Jacobians of every sample by Pinocchio, and beside it in a thread what follows from them."""
+    """Forward kinematics and Jacobians of every sample by Pinocchio; a second thread derives the rest from them."""
     n = len(trajectory)
     rotation = np.empty((n, 3, 3))
     whole = ExecutedMotion(
@@ -69,7 +70,7 @@ def executed_motion(cell: Cell, trajectory: Trajectory) -> ExecutedMotion:
                 rows = slice(start, min(start + BLOCK, stretch.stop))
                 q, block = np.ascontiguousarray(trajectory.q[rows]), whole.rows(rows)
                 found.append(pool.submit(_fill, block, own, q, trajectory.deposit[rows], *_nozzle(own, q)))
-                if len(found) > _AHEAD:  # poses and Jacobians that wait are far more than all that is kept
+                if len(found) > _AHEAD:  # waiting poses and Jacobians take far more memory than all results
                     found.pop(0).result()
         for each in found:
             each.result()
@@ -95,7 +96,7 @@ def _judge(
     T_base_nozzle: Array, J: Array, deposit: NDArray[np.bool_], T_world_base: Array, T_world_part: Array, rails: int,
     solved: NDArray[np.int64], tip: Array, rotation: Array, up: Array, sigma: Array, det: Array,
 ) -> None:  # fmt: skip
-    """Fill in the fields of `Motion` but the branch."""
+    """Fill in the fields of `ExecutedMotion` except the branch."""
     na = J.shape[2] - rails
     A, square, q, e = np.empty((max(6, na), min(6, na))), np.empty((6, 6)), np.empty(min(6, na)), np.empty(min(6, na))
     R, p = np.empty((3, 3)), np.empty(3)
@@ -128,7 +129,7 @@ def _judge(
 
 @inner_njit
 def _determinant(A: Array) -> float:
-    """Determinant of a square matrix, which is lost: by elimination, the largest of each column first."""
+    """Determinant of a square matrix, which is overwritten: elimination with partial pivoting."""
     n, out = len(A), 1.0
     for k in range(n):
         pivot = k
@@ -152,7 +153,7 @@ def _determinant(A: Array) -> float:
 def _branch(cell: Cell, T_base_flange: Array, q: Array, det: Array) -> NDArray[np.int8]:
     """ABB's cfx (n): 4 wrist centre behind axis 1, 2 behind the lower arm, 1 axis 5 negative.
 
-    The sign of the Jacobian's determinant changes with each of the three: the second one follows from the others.
+    The sign of the Jacobian's determinant changes with each of the three, so the second follows from it and the others.
     """
     arm, k = cell.arm_robot, cell.rails
     model, data = arm.model, arm.model.createData()
@@ -164,7 +165,7 @@ def _branch(cell: Cell, T_base_flange: Array, q: Array, det: Array) -> NDArray[n
         wrist = _crossing(data.oMi[6 + k], joint_axis(model, 6 + k)[:3], data.oMi[5 + k], joint_axis(model, 5 + k)[:3])
         return float(np.linalg.norm(data.oMf[flange].translation - wrist)), float(np.linalg.det(J))
 
-    # forearm horizontal forwards, axis 5 bent: no bit is set here
+    # forearm horizontal and forward, axis 5 bent: no bit is set here
     length, reference = wrist_to_flange(np.array([0.0] * k + [0.0, 0.0, 0.0, 0.0, 0.5, 0.0]))
     centre = T_base_flange[:, :3, 3] - length * T_base_flange[:, :3, 2]
     if k:
@@ -176,7 +177,7 @@ def _branch(cell: Cell, T_base_flange: Array, q: Array, det: Array) -> NDArray[n
 
 
 def _crossing(one: pin.SE3, its_axis: Array, other: pin.SE3, other_axis: Array) -> Array:
-    """The place (3) on one joint's axis that is nearest to another's; axes (3) are in the joints' own frames."""
+    """The point (3) on one joint's axis nearest to another's; axes (3) are in the joints' own frames."""
     u, v = one.rotation @ its_axis, other.rotation @ other_axis
     away = other.translation - one.translation
     across = u @ v
@@ -185,7 +186,7 @@ def _crossing(one: pin.SE3, its_axis: Array, other: pin.SE3, other_axis: Array) 
 
 
 def straight_at(cell: Cell) -> float:
-    """Where joint 5 of six stands when axes 4 and 6 are parallel [rad], or half a turn from there; 0 where it is so at 0."""
+    """Angle [rad] of joint 5 of six at which axes 4 and 6 are parallel, as half a turn from there; 0 if almost 0."""
     model, k = cell.arm_robot.model, cell.rails
     J = pin.computeJointJacobians(model, model.createData(), pin.neutral(model))
     fourth, fifth, sixth = J[3:, k + 3 : k + 6].T
@@ -195,7 +196,7 @@ def straight_at(cell: Cell) -> float:
 
 def wrist_straightens(cell: Cell) -> bool:
     """Whether a six-axis arm is singular where axes 4 and 6 are parallel: all three axes of its wrist meet, or axis 4 is
-    parallel to axis 3. Where axis 6 passes the meeting of 4 and 5, nothing happens there."""
+    parallel to axis 3. Where axis 6 misses the intersection of axes 4 and 5, it is not."""
     model, k = cell.arm_robot.model, cell.rails
     data = model.createData()
     J = pin.computeJointJacobians(model, data, pin.neutral(model))
@@ -209,7 +210,7 @@ def wrist_straightens(cell: Cell) -> bool:
 
 
 def _from_first_axis(model: pin.Model, rail: Array, places: Array) -> Array:
-    """Places (n, 3), seen from the frame of the arm's own first joint before it turns; rail (n, k): of what carries it."""
+    """Places (n, 3) in the frame of the arm's first own joint at 0; rail (n, k): positions of the joints before it."""
     data, out = model.createData(), np.empty_like(places)
     q = pin.neutral(model)
     for i, at in enumerate(rail):
@@ -220,13 +221,13 @@ def _from_first_axis(model: pin.Model, rail: Array, places: Array) -> Array:
 
 
 def _nozzle(cell: Cell, q: Array) -> tuple[Array, Array]:
-    """Nozzle poses in the arm's base (n, 4, 4) and Jacobians at the nozzle tip (n, 6, na) there, at postures q (n, nj)."""
+    """Nozzle poses (n, 4, 4) and Jacobians at the nozzle tip (n, 6, na) in the arm's base, at postures q (n, nj)."""
     arm, model = cell.arm_robot, cell.arm_robot.model
     data = model.createData()
     flange = model.frames[link_frame(model, arm.tip)]
     last, turning = _pose_memory([data.oMi[flange.parentJoint]]), data.J.T.reshape(-1)
     poses, J = np.empty((len(q), 12)), np.empty((len(q), model.nv * 6))
-    jacobians = pin.computeJointJacobians  # of what lies in the base's origin, and moves with the last joint
+    jacobians = pin.computeJointJacobians  # at the base's origin, for a point that moves with the last joint
     for i, row in enumerate(np.ascontiguousarray(q[:, : model.nq])):
         jacobians(model, data, row)
         poses[i], J[i] = last, turning
@@ -238,7 +239,7 @@ def _nozzle(cell: Cell, q: Array) -> tuple[Array, Array]:
 
 @njit
 def _shift(J: Array, p: Array) -> None:
-    """Jacobians J (n, 6, nv) of the origin, made those of places p (n, 3) that move with the same body."""
+    """Shift Jacobians J (n, 6, nv) in place from the origin to points p (n, 3) of the same body."""
     for i in range(len(J)):
         x, y, z = p[i, 0], p[i, 1], p[i, 2]
         for k in range(J.shape[2]):
@@ -254,7 +255,7 @@ def _part(cell: Cell, q_free: Array) -> Array:
     model = cell.holder_robot.model
     names = list(model.names[1:])
     free = [names.index(name) for name in cell.holder.names]
-    turned = np.append(True, (np.diff(q_free, axis=0) != 0.0).any(axis=1))  # a table often rests
+    turned = np.append(True, (np.diff(q_free, axis=0) != 0.0).any(axis=1))  # a positioner often rests
     held = np.array([cell.held.get(name, 0.0) for name in names])
     q = np.tile(held, (int(np.count_nonzero(turned)), 1))
     q[:, free] = q_free[turned]
@@ -264,7 +265,7 @@ def _part(cell: Cell, q_free: Array) -> Array:
 
 
 def joint_poses(model: pin.Model, q: Array) -> Array:
-    """Poses (n, joints, 4, 4) of all joints after their turns, in the frame of the robot's base, at postures q (n, nq)."""
+    """Poses (n, joints, 4, 4) of all joints, moved by their angles, in the robot's base frame at postures q (n, nq)."""
     data, n = model.createData(), model.njoints - 1
     placed = _pose_memory([data.oMi[k] for k in range(1, n + 1)])
     poses = np.empty((len(q), 12 * n))
@@ -276,21 +277,21 @@ def joint_poses(model: pin.Model, q: Array) -> Array:
 
 
 def _pose_memory(poses: list[pin.SE3]) -> Array:
-    """The numbers of poses that Pinocchio keeps one behind the other, as one flat view that changes as they do.
+    """A flat view of poses that Pinocchio keeps contiguous in memory; it changes as they do.
 
-    Of each its rotation, column by column, and its translation; see `_matrices`. Each by itself takes far longer to
-    ask for than to compute, and a flat view is copied far sooner than one of matrices.
+    For each pose its rotation, column by column, then its translation; see `_matrices`. Reading poses one by one takes
+    far longer than computing them, and a flat view is copied far faster than one of matrices.
     """
     address = [array.__array_interface__["data"][0] for each in poses for array in (each.rotation, each.translation)]
     first = poses[0].rotation
     wanted = address[0] + first.itemsize * np.cumsum([0, *(9, 3) * len(poses)])[:-1]
     if first.strides != (first.itemsize, 3 * first.itemsize) or not np.array_equal(address, wanted):
-        raise ValueError("the poses do not lie one behind the other")
+        raise ValueError("the poses are not contiguous in memory")
     return np.lib.stride_tricks.as_strided(first, (12 * len(poses),), (first.itemsize,), writeable=False)
 
 
 def _matrices(poses: Array) -> Array:
-    """Poses (..., 4, 4) from their numbers (..., 12): a rotation column by column, and a translation."""
+    """Poses (..., 4, 4) from 12 numbers each (..., 12): a rotation column by column, and a translation."""
     T = np.zeros((*poses.shape[:-1], 4, 4))
     T[..., :3, :] = np.swapaxes(poses.reshape(*poses.shape[:-1], 4, 3), -1, -2)
     T[..., 3, 3] = 1.0

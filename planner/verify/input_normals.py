@@ -1,8 +1,9 @@
-"""The nozzle's axis against the normals as a file of waypoints has them, however they were smoothed before planning.
+"""The nozzle's axis against the normals in a file of waypoints, however they were smoothed before planning.
 
-The file is read again here. At each waypoint that the tip passes, the axis may be off the file's normal by what smoothing
-may turn it and by what the nozzle may lean; of several at one place the first counts. Where a corner is rounded the tip
-passes beside a waypoint, with a mean of the normals around it: there it may be off by what these differ, too.
+The file is read again here. At each waypoint that the tip passes, the axis may deviate from the file's normal by as
+much as smoothing may turn it plus as much as the nozzle may lean; of several waypoints at one place the first counts.
+Where a corner is rounded, the tip passes beside the waypoint with a mean of the normals around it: there the axis may
+also deviate by as much as these differ.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from planner.toolpath.waypoints.normals import UNASKED
 from planner.toolpath.waypoints.reader import read_columns
 from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
 
-ROOM = np.radians(0.05)  # by which an axis may be off what it is to follow
-_PASSED = 2e-5  # m: a tip that comes so near to a waypoint passes it
-_CORNER = np.radians(5.0)  # turn of the path at a waypoint: less is rounded nowhere
-_WIDEST = 25.0  # corner tolerances: half the length of path over which a rounded corner is a mean, at most; it reaches twice that
-_SAMPLES = 4  # nearest ones of the motion, that a waypoint's own is among where passes cross
+ROOM = np.radians(0.05)  # tolerance of the axis on top of what is allowed
+_PASSED = 2e-5  # m: a tip that comes this near to a waypoint passes it
+_CORNER = np.radians(5.0)  # turn of the path at a waypoint: smaller ones are never rounded
+_WIDEST = 25.0  # × the corner tolerance: at most half the length of path that a corner averages; it reaches twice that
+_SAMPLES = 4  # nearest samples of the motion tried: where passes cross, the waypoint's own is among them
 _TO_SI = {"mm": 1e-3, "m": 1.0}
 _OPPOSITE = 180.0  # deg
-_NEXT_BEAD = 3.0  # median steps: a longer one leads to another bead
-_AROUND = 3  # waypoints to either side that say which way a normal points
-_SAME, _CREEP = 0.02, 1e-7  # of the usual step, and m: waypoints that are no farther from the one before repeat it
+_NEXT_BEAD = 3.0  # × the median step: a longer one leads to another bead
+_AROUND = 3  # waypoints on either side that decide which way a normal points
+_SAME, _CREEP = 0.02, 1e-7  # × the median step, and m: a waypoint no farther than this from the last repeats it
 _NAME, _METRIC = "axis near the file's normals", "file_normal_max_deg"
 
 
 def file_normals(judged: Judged) -> Findings:
-    """The check that the axis keeps to the file's own normals; nothing where no file of waypoints is printed, or nothing
-    may turn the nozzle from its normals."""
+    """The check that the axis keeps to the file's own normals; none where no file of waypoints is printed, or where
+    nothing may turn the nozzle away from its normals."""
     layers, process = judged.problem.layers, judged.problem.process
     if not isinstance(layers, WaypointLayersSpec):
         return Findings()
@@ -53,12 +54,12 @@ def file_normals(judged: Judged) -> Findings:
     new = _elsewhere(points)
     points, normals = points[new], _not_the_other_way(points[new], normals[new])
     off, away, at = _off_at_waypoints(judged, points, normals)
-    passed = away <= process.corner_tolerance + _PASSED  # crumbs, and beads that are not printed, are elsewhere
+    passed = away <= process.corner_tolerance + _PASSED  # unlike those of crumbs and of beads that are not printed
     rounded = passed & (away > _PASSED) & (_turns(points) > _CORNER)
     allowed = bound + _unlike_others(points, normals, rounded, process.corner_tolerance)
     beyond = np.where(passed, off - allowed, -np.inf)
     i = int(np.argmax(beyond))
-    if not passed.any():  # what is laid is not what the file says, and as far off as can be
+    if not passed.any():  # the beads laid are not the file's: as far off as possible
         none = Check(_NAME, _OPPOSITE, float(np.degrees(bound)), "deg", False, EVERYWHERE, sample=-1)
         return Findings((none,), {_METRIC: _OPPOSITE})
     check = Check(
@@ -74,8 +75,7 @@ def file_normals(judged: Judged) -> Findings:
 
 
 def _as_the_file_says(spec: WaypointsSpec) -> tuple[Array, Array]:
-    """Points [m] and outward unit normals (n, 3) in the part frame, as they stand in the file. Raises InputError where it
-    is gone."""
+    """Points [m] and outward unit normals (n, 3) of the file, in the part frame. Raises InputError if it is gone."""
     given = spec.waypoints
     if isinstance(given, Path):
         x, n = _read(given, spec.unit, *stamp_of(given))
@@ -91,15 +91,15 @@ def _as_the_file_says(spec: WaypointsSpec) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=2)
 def _read(path: Path, unit: str, changed: int, size: int) -> tuple[Array, Array]:
-    """The file's columns; `changed` and `size` tell one file from what stood there before."""
+    """The file's columns; `changed` and `size` identify its version."""
     values = read_columns(path, unit, partial(InputError, file=path)).values
     points, normals = (np.stack([values[name] for name in names], axis=1) for names in ("xyz", ("nx", "ny", "nz")))
     return read_only(points), read_only(normals)
 
 
 def _off_at_waypoints(judged: Judged, points: Array, normals: Array) -> tuple[Array, Array, Ints]:
-    """Angle (n) [rad] of the axis from the normals at waypoints (n, 3), how far (n) [m] the tip passes beside them, and at
-    which sample (n). Of passes that are about as near, the one whose axis is nearest."""
+    """Angle (n) [rad] between the axis and the normals at waypoints (n, 3), the distance (n) [m] at which the tip
+    passes them, and the sample (n). Of passes about equally near, the one whose axis fits best."""
     t, motion, tip = judged.trajectory, judged.motion, judged.drawn_tip
     laid = np.flatnonzero(t.deposit)
     if not len(laid):
@@ -124,20 +124,19 @@ def _off_at_waypoints(judged: Judged, points: Array, normals: Array) -> tuple[Ar
 
 
 def _elsewhere(points: Array) -> Ints:
-    """Which points (n, 3) do not repeat the last one before them that repeats none."""
+    """Indices of the points (n, 3) that do not repeat the last distinct one before them."""
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     moving = step[step > _CREEP]
     same = max(_SAME * float(np.median(moving)), _CREEP) if len(moving) else _CREEP
     new, before = np.append(True, step > same), 0
-    for i in np.flatnonzero(~new).tolist():  # a few that creep may add up to a step
+    for i in np.flatnonzero(~new).tolist():  # several tiny steps may add up to a real one
         before = i - 1 if new[i - 1] else before
         new[i] = np.linalg.norm(points[i] - points[before]) > same
     return np.flatnonzero(new)
 
 
 def _not_the_other_way(points: Array, normals: Array) -> Array:
-    """Normals (n, 3) at points (n, 3), single ones turned round that point away from most of those before and after on the
-    same bead."""
+    """Normals (n, 3) at points (n, 3); single ones that oppose most neighbours on their bead are reversed."""
     n = len(normals)
     away, others = np.zeros(n), np.zeros(n)
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -152,13 +151,13 @@ def _not_the_other_way(points: Array, normals: Array) -> Array:
 
 
 def _turns(points: Array) -> Array:
-    """By how much (n) [rad] the way to points (n, 3) and the way on differ; 0 at both ends."""
+    """Turn (n) [rad] of the path at points (n, 3); 0 at both ends."""
     way = np.diff(points, axis=0)
     return np.concatenate([[0.0], angles_between(way[1:], way[:-1]), [0.0]])[: len(points)]
 
 
 def _unlike_others(points: Array, normals: Array, rounded: NDArray[np.bool_], tolerance: float) -> Array:
-    """Beside a rounded corner the greatest angle (n) [rad] of a normal to those that a mean may be of; else 0."""
+    """Near rounded corners, the greatest angle (n) [rad] of a normal to those averaged with it; elsewhere 0."""
     out = np.zeros(len(points))
     if not rounded.any():
         return out
@@ -175,7 +174,7 @@ def _unlike_others(points: Array, normals: Array, rounded: NDArray[np.bool_], to
 
 
 def _distance_to(places: Array, s: Array) -> Array:
-    """Distance (n) of arc lengths s (n) from the nearest of some places, which are in order."""
+    """Distance (n) of arc lengths s (n) from the nearest of some sorted places."""
     after = np.searchsorted(places, s)
     return np.minimum(
         np.abs(s - places[np.maximum(after - 1, 0)]), np.abs(s - places[np.minimum(after, len(places) - 1)])

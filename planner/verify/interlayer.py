@@ -1,11 +1,11 @@
-"""Interlayer time: how old the bead below is when the nozzle lays a place on it, and whether that is within what is asked.
+"""Interlayer time: how old the bead below is when the nozzle lays material on it, and whether that is within limits.
 
-Worked out from the executed motion alone. A place that is laid looks down its own normal by its bead's height; the nearest
-place of an earlier layer that the nozzle has really laid there, at most so far beside it that the two beads overlap by a
-quarter of their width, is what it lies on. Of several that are about as near, as the two ends of a closed bead, or beads
-that cross, it is the one whose age is that of what lies beside it along the bead. Where one bead rises over itself, as a
-spiral does, that is its own earlier turn. First layers, bridges and struts lie on nothing. All is in the part frame, in
-metres and seconds.
+Found from the executed motion alone. A place lies on the place of a lower layer, laid earlier, that is nearest to the
+point one bead's height down its normal, if that is near enough sideways for the two beads to overlap by a quarter of
+their width. Of several about equally near, as at the ends of a closed bead or where beads cross, the one
+whose age agrees with that of neighbouring places along the bead is chosen. Where one bead rises over itself, as a
+spiral does, it lies on its own earlier turn. First layers, bridges and struts lie on nothing. All values are in the
+part frame, in metres and seconds.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from planner.plan.by_layer import AGES
 from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
 from planner.verify.pressed import laid_beads
 
-_STEP = 0.25  # bead's widths from place to place
-_BESIDE = 0.75  # bead's widths from the line of the bead below: there the two overlap by a quarter
-_OFF = 0.75  # bead's heights by which the bead below may lie higher or lower than one height down
-_AS_NEAR = 0.2  # bead's widths by which another place may be farther and count as being as near
-_NEAREST = 6  # places that are looked at
-_BESIDE_IT = 3  # places to either side along the bead, whose ages tell which of those is meant
-_AT_ONCE = 50_000  # places whose others are weighed at once, which bounds the memory
-_OWN = 0.5  # likewise of the bead's own layer, all of whose other places lie a whole height higher
+_STEP = 0.25  # bead widths between places
+_BESIDE = 0.75  # bead widths from the line of the bead below: there the two overlap by a quarter
+_OFF = 0.75  # bead heights: the bead below may lie this much higher or lower than one height down
+_AS_NEAR = 0.2  # bead widths: a place farther away by no more than this counts as equally near
+_NEAREST = 6  # places examined
+_BESIDE_IT = 3  # places on either side along the bead, whose ages decide between those
+_AT_ONCE = 50_000  # places processed at once: bounds the memory
+_OWN = 0.5  # as _OFF, within the bead's own layer, whose other places all lie a whole height above that point
 
 
 @dataclass(frozen=True)
 class LaidPlaces:
-    """Places (k) along what is laid, in order of time; those that are there from the beginning come first.
+    """Places (k) along the beads, in order of time; those that are there from the beginning come first.
 
     tip, down (k, 3)        the nozzle's tip, and one bead's height beneath it along the normal [m]
     normal (k, 3), width, height (k)
-    bead, layer, sample (k) sample is -1 for what is there from the beginning
-    time (k) [s]            when it is laid, not a number for what is there from the beginning
-    run (k)                 number of the stretch that is laid without interruption
+    bead, layer, sample (k) sample is -1 for beads that are there from the beginning
+    time (k) [s]            when it is laid, NaN for beads that are there from the beginning
+    run (k)                 number of the stretch laid without interruption
     """
 
     tip: Array
@@ -55,7 +55,7 @@ class LaidPlaces:
 
 
 def interlayer(judged: Judged) -> Findings:
-    """Ages of what is below each place, and the checks of what the problem asks of them."""
+    """Ages of the bead below each place, and the checks of the limits that the problem sets."""
     spec = judged.problem.process.interlayer_time
     if not judged.trajectory.deposit.any():
         return Findings()
@@ -78,7 +78,7 @@ def interlayer(judged: Judged) -> Findings:
 
 
 def laid_places(judged: Judged) -> LaidPlaces:
-    """Places along what the motion lays, a quarter of a bead's width apart; a nozzle that rests lays one."""
+    """Places along the beads of the motion, a quarter of a bead's width apart; a resting nozzle lays only one."""
     laid, t = laid_beads(judged), judged.trajectory
     begins = np.append(True, np.diff(laid.bead) != 0)
     run = np.cumsum(begins) - 1
@@ -106,12 +106,12 @@ def laid_places(judged: Judged) -> LaidPlaces:
 
 
 def ages(places: LaidPlaces) -> tuple[Array, Ints]:
-    """Age (k) [s] of what each place lies on when it is laid, and the bead (k) that it is of.
+    """Age (k) [s], when each place is laid, of the bead that it lies on, and that bead (k).
 
-    Not a number, and -1, where a place lies on nothing, or on what is there from the beginning.
+    NaN and -1 where a place lies on nothing, or on a bead that is there from the beginning.
     """
     others = _others(places)
-    nearest = others[:, 0]  # not a number where there is none, which comes last when sorted
+    nearest = others[:, 0]  # where it is -1 the age is NaN, which sorts last
     age = np.where(nearest >= 0, places.time - places.time[nearest], np.nan)
     below = np.empty(len(age), dtype=np.int64)
     for first in range(0, len(age), _AT_ONCE):
@@ -156,14 +156,14 @@ def _others(places: LaidPlaces) -> Ints:
             out[one[on], which[on]] = other[on]
             found[one[on]] = True
             left = left[~found[left]]
-    for first in range(0, len(out), _AT_ONCE):  # what is found comes first, the nearest before others
+    for first in range(0, len(out), _AT_ONCE):  # move those found to the front, the nearest first
         some = out[first : first + _AT_ONCE]
         some[:] = np.take_along_axis(some, np.argsort(some < 0, axis=1, kind="stable"), axis=1)
     return out
 
 
 def _lies_on(places: LaidPlaces, one: Ints, other: Ints, off: float) -> Flags:
-    """Whether places (m) lie on others: these are near one height down, and not too far beside."""
+    """Whether places (m) lie on others: about one height above them, and not too far sideways."""
     way = places.tip[other] - places.down[one]
     rise = (way * places.normal[one]).sum(axis=1)
     beside = np.linalg.norm(way - rise[:, None] * places.normal[one], axis=1)
@@ -171,7 +171,7 @@ def _lies_on(places: LaidPlaces, one: Ints, other: Ints, off: float) -> Flags:
 
 
 def _when(places: LaidPlaces, one: Ints, other: Ints) -> Array:
-    """When (m) [s] the tip passed nearest to what is one height below places, beside the nearest place that is known."""
+    """When (m) [s] the tip passed nearest to the point one height below each place, interpolated near `other`."""
     best, when = np.full(len(one), np.inf), np.empty(len(one))
     for side in (-1, 1):
         beside = np.clip(other + side, 0, len(places.run) - 1)
@@ -186,7 +186,7 @@ def _when(places: LaidPlaces, one: Ints, other: Ints) -> Array:
 
 
 def _by_sample(judged: Judged, places: LaidPlaces, age: Array) -> Array:
-    """Age (n) by sample: that of the last place before it, not a number in travel."""
+    """Age (n) by sample: that of the last place up to it; NaN in travel."""
     t = judged.trajectory
     series = np.full(len(t), np.nan)
     laid, own = np.flatnonzero(t.deposit), places.sample >= 0
@@ -199,7 +199,7 @@ def _by_sample(judged: Judged, places: LaidPlaces, age: Array) -> Array:
 def _check(
     judged: Judged, places: LaidPlaces, age: Array, below: Ints, known: Ints, asked: float, least: bool
 ) -> Check:
-    """The check of the least or the greatest age that is asked for [s], at the place that is worst."""
+    """The check of the least or greatest age allowed [s], at the worst place."""
     name = "interlayer time at least" if least else "interlayer time at most"
     dt = judged.trajectory.dt
     limit = asked - dt if least else asked + dt
@@ -214,7 +214,5 @@ def _check(
     missing = age[known] < limit if least else age[known] > limit
     if not ok:
         held = np.floor((worst - dt) * 10.0) / 10.0 if least else np.ceil((worst - dt) * 10.0) / 10.0
-        where += (
-            f"; {missing.mean():.1%} of such places are beyond; {'least_s' if least else 'most_s'}: {held:g} is held"
-        )
+        where += f"; {missing.mean():.1%} of such places are outside the limit; {'least_s' if least else 'most_s'}: {held:g} would hold"
     return Check(name, worst, limit, "s", bool(ok), where, least=least, sample=sample)

@@ -1,7 +1,7 @@
-"""Material: what flows against what the beads hold, what the motor pushes, and which tool lays which bead.
+"""Material: flow against the volume of the beads, filament pushed by the motor, and the tool that lays each bead.
 
-Cross-sections, volumes and lag are worked out anew here, from the samples (n) and the input alone. Volumes are in
-m^3, filament in m of its length.
+Cross-sections, volumes and lag are derived independently, from the samples (n) and the input alone. Volumes are in m^3,
+filament in m of its length.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from planner.verify.checks import EVERYWHERE, SPEED_TOLERANCE, Findings, Judged,
 
 Samples = NDArray[np.intp]
 
-EXTRUSION_TOLERANCE = 1e-3  # of the volume
-PER_MILLIMETRE = 5e-3  # of what a millimetre of the bead holds
-SWITCHED_ENDS = 2e-3  # m at both ends of a bead that are not judged where a motor is only switched,
-SWITCHED_WIDTHS = 4.0  # or times the width of narrow ones, of which as much would be all that there is
-MILLIMETRE = 1e-3  # m: stretch of a bead that is weighed
-RESOLVED = 4  # samples that a stretch lasts at least: fewer do not tell how much lies in it
-STEPS = 4  # places in a stretch at which the next one begins
-FILAMENT_TOLERANCE = 1e-2  # of what one sample lays down, in filament
-FINE = 5e-3  # s between samples: what the motor does between them matters little
-ZONE_SAMPLES = 2  # beyond the lag itself: when it began is known to a sample only
-STILL = 1e-9  # rad that a joint moves in a sample at most, and
-UNMOVED = 1e-12  # m of filament, where robot and extruder rest
-AT_HOME = 1e-6  # rad or m, by which the arm may rest beside home
-INSTANT = 1e-9  # s: as near as instants of events are known
-SAMPLES = 2  # that a rest may be shorter than it is: the samples do not tell when it begins and ends
+EXTRUSION_TOLERANCE = 1e-3  # × the volume
+PER_MILLIMETRE = 5e-3  # × the volume of a millimetre of the bead
+SWITCHED_ENDS = 2e-3  # m at both ends of a bead that are not judged where the motor is only switched on and off,
+SWITCHED_WIDTHS = 4.0  # or × the bead's width, if that is less: little else would be left of narrow beads
+MILLIMETRE = 1e-3  # m: stretch of a bead whose volume is compared
+RESOLVED = 4  # least samples in a stretch: fewer do not resolve its volume
+STEPS = 4  # stretches begun per length of one: they overlap
+FILAMENT_TOLERANCE = 1e-2  # × the volume laid in one sample, for filament
+FINE = 5e-3  # s: with samples no farther apart, what the motor does between them matters little
+ZONE_SAMPLES = 2  # samples added to the lag: its start is known only to a sample
+STILL = 1e-9  # rad: most that a joint moves in a sample where the robot rests
+UNMOVED = 1e-12  # m: most that the filament moves in a sample where the extruder rests
+AT_HOME = 1e-6  # rad or m: tolerance of resting at home
+INSTANT = 1e-9  # s: resolution of the instants of events
+SAMPLES = 2  # a rest may seem shorter by this many, as the samples do not show exactly when it begins and ends
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Volume:
 
     @property
     def total(self) -> float:
-        """Of the whole bead [m^3]."""
+        """Volume of the whole bead [m^3]."""
         return float(self.integral[-1])
 
     def to(self, s: Array) -> Array:
@@ -64,8 +64,8 @@ class Volume:
 
 @dataclass(frozen=True)
 class FlowByLength:
-    """What millimetres of beads get: the largest share by which one that is judged is off, where, at which sample (-1 at none),
-    and the share of all that are within process.extruder.flow_tolerance."""
+    """Flow by millimetres of beads: the largest relative error of those judged, its place and sample (-1 for none), and
+    the share of all millimetres within process.extruder.flow_tolerance."""
 
     worst: float
     where: str
@@ -74,7 +74,7 @@ class FlowByLength:
 
 
 def volume_of(bead: Bead, process: ProcessSpec) -> Volume:
-    """The bead's volume, from its measures and the section that the problem asks for; a strut in space is round."""
+    """The bead's volume, from its dimensions and the section that the problem sets; a strut in space is round."""
     w, h = bead.width, bead.height
     area = {
         "rectangle": w * h,
@@ -87,12 +87,12 @@ def volume_of(bead: Bead, process: ProcessSpec) -> Volume:
 
 
 def switched_ends(width: float) -> float:
-    """How much of a bead of some width [m] is not judged at both ends where a motor is only switched [m]."""
+    """Length [m] at both ends of a bead of some width [m] that is not judged where the motor is only switched."""
     return min(SWITCHED_ENDS, SWITCHED_WIDTHS * width)
 
 
 def extrusion(judged: Judged) -> Findings:
-    """Material flows while beads are laid and at no other time, as much as they hold; the motor pushes that much."""
+    """Material flows only while beads are laid, exactly as much as they hold, and the motor pushes that much."""
     problem, t, samples = judged.problem, judged.trajectory, judged.samples
     process, lag = problem.process, problem.process.extruder.lag
     volumes = [volume_of(bead, process) for bead in judged.toolpath.beads]
@@ -133,7 +133,7 @@ def extrusion(judged: Judged) -> Findings:
 
 
 def _fastest(judged: Judged) -> float:
-    """Greatest speed [m/s] at which material is laid: in a bead, or from its last sample to the next one, where it ends."""
+    """Greatest speed [m/s] at which material is laid, in a bead or from its last sample to the next."""
     t = judged.trajectory
     ending = t.deposit[1:] != t.deposit[:-1]
     step = np.linalg.norm(np.diff(judged.motion.tip, axis=0)[ending], axis=1).max(initial=0.0) / t.dt
@@ -142,29 +142,29 @@ def _fastest(judged: Judged) -> float:
 
 
 def _share_check(t: Trajectory, name: str, off: Array, sample: float, limit: float) -> Check:
-    """The check that no volume (n) [m^3] is off by more than a share of what one sample lays down."""
+    """The check that no volume error (n) [m^3] exceeds a share of what one sample lays down."""
     share = off / sample if sample else np.ones(len(t))
     return check_most(t, name, share, limit, "of what one sample lays down")
 
 
 def _keeps_pace(t: Trajectory, off: Array, sample: float) -> Check:
-    """The check that what has flowed is off (n) [m^3] by no more than one sample lays down."""
+    """The check that the material that has flowed is off (n) [m^3] by no more than one sample lays down."""
     return _share_check(t, "material keeps pace", off, sample, 1.0 + SPEED_TOLERANCE)
 
 
 def _flow_per_millimetre(t: Trajectory, flow: FlowByLength, limit: float) -> Check:
-    """The check of what `_per_millimetre` found."""
+    """The check of the result of `_per_millimetre`."""
     ok = flow.worst <= limit
     where = flow.where if ok else _if_coarse(t, flow.where)
     return Check("flow per millimetre", flow.worst, limit, "of what a millimetre holds", ok, where, sample=flow.sample)
 
 
 def _fed(t: Trajectory, pressed: Array, lag: float, near: NDArray[np.bool_], sample: float) -> Check:
-    """Filament is fed as material is laid, ahead by the lag; (n) [m^3] is pressed into the melt beside events.
+    """Filament is fed as material is laid, ahead by the lag; pressed (n) [m^3]: fed into the melt, events aside.
 
-    Near a bead's ends it may be off by what the lag holds at the flow around.
+    Near a bead's ends it may be off by the volume that the lag holds at the flow there.
     """
-    # the rate at each sample: the slope of the quartic through what has flowed at it, before, after and half-way
+    # rate at each sample: slope of the quartic through the volumes at it, at its neighbours and half-way to them
     more = np.pad(t.extruded, 1, mode="edge")
     ahead = lag * (8.0 * t.flow * t.dt - more[2:] + more[:-2]) / (6.0 * t.dt)
     off = np.abs(pressed - t.extruded - ahead)
@@ -174,7 +174,7 @@ def _fed(t: Trajectory, pressed: Array, lag: float, near: NDArray[np.bool_], sam
 
 
 def _as_long_as_its_bead(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Check:
-    """From the end of one bead to that of the next as much fibre is fed as the next is long, purges aside."""
+    """From the end of one bead to the end of the next, the fibre fed is as long as the next bead, purges aside."""
     fed = t.feed - _pushed(t.t, [event for event in t.events if event.kind == "purge"])
     primes = {event.bead: event for event in t.events if event.kind == "prime"}
     worst, where, before = 0.0, EVERYWHERE, 0.0
@@ -182,7 +182,7 @@ def _as_long_as_its_bead(t: Trajectory, volumes: Sequence[Volume], samples: Sequ
         at, volume = samples[i], volumes[i]
         k = min(int(at[-1]) + 1, len(t) - 1) if len(at) else 0
         after = float(fed[k]) if len(at) else before
-        if len(at) and i + 1 in primes:  # which may begin in the very sample in which this bead ends
+        if len(at) and i + 1 in primes:  # the next prime may begin in the very sample in which this bead ends
             after -= float(_pushed(t.t[k : k + 1], [primes[i + 1]])[0])
         off, before = abs(after - before - float(volume.s[-1])) / float(volume.s[-1]), after
         if not off <= worst:
@@ -193,12 +193,12 @@ def _as_long_as_its_bead(t: Trajectory, volumes: Sequence[Volume], samples: Sequ
 
 
 def _if_coarse(t: Trajectory, where: str) -> str:
-    """A place where a check fails, and what may be the reason where samples are far apart."""
+    """The place where a check fails, with a possible reason if samples are far apart."""
     return where if t.dt <= FINE else f"{where}; samples {t.dt * 1e3:g} ms apart may be too coarse to feed it in time"
 
 
 def _balance(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Check:
-    """Material: none outside beads, never backwards, and per bead as much as the bead holds."""
+    """Material never flows outside beads or backwards, and each bead gets as much as it holds."""
     worst, where = 0.0, EVERYWHERE
     for i in range(t.first_bead, len(volumes)):
         at, volume = samples[i], volumes[i]
@@ -215,11 +215,11 @@ def _balance(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples
 
 
 def _behind(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Array:
-    """By how much (n) [m^3] what has flowed differs from what the beads hold up to each sample."""
+    """Difference (n) [m^3] of the material that has flowed from the volume of the beads up to each sample."""
     before = np.cumsum([0.0, *(volume.total for volume in volumes)])
     before -= before[t.first_bead]
     begun = np.maximum.accumulate(np.where(t.deposit, t.bead, t.first_bead - 1))
-    expected = before[begun + 1]  # after the bead, or the last one
+    expected = before[begun + 1]  # at the end of the bead, or of the last one
     for i, at in enumerate(samples):
         expected[at] = np.where(t.deposit[at], before[i] + volumes[i].to(t.s[at]), expected[at])
     late = np.abs(np.cumsum(t.flow) * t.dt - t.extruded)
@@ -227,13 +227,13 @@ def _behind(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]
 
 
 def _runs_while_laying(judged: Judged, volumes: Sequence[Volume]) -> Check:
-    """A motor that is only on or off runs exactly while a bead is laid, at the rate of the commanded speed."""
+    """A motor that is only on or off runs exactly while a bead is laid, at the rate for the commanded speed."""
     t = judged.trajectory
     rates = np.array([volume.total / volume.s[-1] for volume in volumes]) * judged.commanded
     rate = np.zeros(len(t))
     for at, own in zip(judged.samples, rates, strict=True):
         rate[at] = own
-    changes = t.bead[1:] != t.bead[:-1]  # between two samples, at an instant that the samples do not tell
+    changes = t.bead[1:] != t.bead[:-1]  # between two samples, at an unknown instant
     ends = t.deposit & (np.append(True, changes) | np.append(changes, True))
     off = np.maximum(np.abs(t.flow - rate) - np.where(ends, 0.5 * rate, 0.0), 0.0)
     grown, most = np.diff(t.extruded) / t.dt, np.maximum(rate[1:], rate[:-1])
@@ -245,7 +245,7 @@ def _runs_while_laying(judged: Judged, volumes: Sequence[Volume]) -> Check:
 
 
 def _over_extruded(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Array:
-    """Volume (n) [m^3] that flows in each sample beyond what the bead holds there."""
+    """Volume (n) [m^3] that flows in each sample in excess of what the bead holds there."""
     over = np.zeros(len(t))
     for at, volume in zip(samples, volumes, strict=True):
         if len(at):
@@ -256,11 +256,11 @@ def _over_extruded(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[S
 
 
 def _per_millimetre(judged: Judged, volumes: Sequence[Volume], out: Array, ends: float) -> FlowByLength:
-    """By what share millimetres of beads get more or less than they hold, where the worst of those is that lie off the
-    `ends` [m] of their bead, and how many of all are within the tolerance of a motor that is switched.
+    """Relative error of the flow in millimetres of beads: the worst outside the `ends` [m] of each bead, and the share
+    of all that are within the tolerance of a switched motor.
 
-    Counted three times: by what leaves a nozzle that lags its motor (out (n) [m^3], beyond lag zones), by the record of
-    what has been extruded, and by the flow.
+    Measured three ways: by the volume that leaves a nozzle lagging behind its motor (out (n) [m^3], outside lag zones),
+    by the record of the extruded volume, and by the flow.
     """
     process, t, worst, where = judged.problem.process, judged.trajectory, 0.0, EVERYWHERE
     sample = -1
@@ -269,7 +269,7 @@ def _per_millimetre(judged: Judged, volumes: Sequence[Volume], out: Array, ends:
     seen = 0
     for i, (at, volume) in enumerate(zip(judged.samples, volumes, strict=True)):
         if len(at) < 2:
-            continue  # which is another check's to say
+            continue  # another check reports that
         length = float(volume.s[-1])
         stretch = max(MILLIMETRE, RESOLVED * t.dt * float(judged.commanded[i]))
         places = np.linspace(0.0, length, STEPS * max(1, int(length / stretch)) + 1)
@@ -301,9 +301,10 @@ def _per_millimetre(judged: Judged, volumes: Sequence[Volume], out: Array, ends:
 
 
 def _between(s: Array, length: float) -> tuple[Array, Array]:
-    """Arc lengths (m + 1) half a sample before and after each of (m), and by how much they are in doubt.
+    """Arc lengths (m + 1) half a sample before and after each of (m), and their uncertainty.
 
-    Two parabolas, through one sample more on either side, give their mean and half of what they differ by.
+    Two parabolas, each through one more sample on one side, give the value as their mean and the uncertainty as half of
+    their difference.
     """
     a = np.pad(s, 1, mode="reflect", reflect_type="odd")
     middle = (9.0 * (a[1:-2] + a[2:-1]) - a[:-3] - a[3:]) / 16.0
@@ -313,7 +314,7 @@ def _between(s: Array, length: float) -> tuple[Array, Array]:
 
 
 def _pressed(fed: Array, filament: Array | float) -> Array:
-    """Volume (n) [m^3] pressed into the melt by filament (n) [m] of cross-section [m^2], one or (n)."""
+    """Volume (n) [m^3] pressed into the melt by filament (n) [m] of one cross-section [m^2] or of (n)."""
     if isinstance(filament, float):
         return filament * fed
     volume: Array = np.cumsum(filament * np.diff(fed, prepend=0.0))
@@ -321,7 +322,7 @@ def _pressed(fed: Array, filament: Array | float) -> Array:
 
 
 def _leaving(pressed: Array, dt: float, lag: float) -> Array:
-    """Volume (n) [m^3] that has left the nozzle when (n) has been pressed into the melt: flow lags by first order."""
+    """Volume (n) [m^3] that has left the nozzle when (n) has been pressed into the melt: a first-order lag."""
     if lag <= 0.0:
         return pressed
     keep = np.exp(-dt / lag)
@@ -332,7 +333,7 @@ def _leaving(pressed: Array, dt: float, lag: float) -> Array:
 
 
 def _near_ends(t: Trajectory, lag: float) -> NDArray[np.bool_]:
-    """Samples (n) in lag zones: where pressure follows a start or an end of a bead, or runs ahead of it."""
+    """Whether samples (n) are in lag zones, where pressure follows the start or end of a bead, or runs ahead of it."""
     if lag <= 0.0:
         return np.zeros(len(t), dtype=bool)
     changes = t.t[1:][np.diff(t.bead) != 0]
@@ -341,7 +342,7 @@ def _near_ends(t: Trajectory, lag: float) -> NDArray[np.bool_]:
 
 
 def _drawn(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Array:
-    """Volume (n) [m^3] of fibre laid behind cuts: drawn by what is laid already, not fed by the motor."""
+    """Volume (n) [m^3] of fibre laid after cuts: drawn out by the fibre already laid, not fed by the motor."""
     gain = np.zeros(len(t))
     for event in t.events:
         if event.kind == "cut" and 0 <= event.bead < len(volumes) and len(samples[event.bead]):
@@ -354,14 +355,14 @@ def _drawn(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples])
 
 
 def _rested_at(event: Event, t: Array, s: Array) -> float:
-    """Arc length [m] at which the nozzle rests for an event, among samples at t (k) and s (k) of its bead."""
+    """Arc length [m] at which the nozzle rests for an event; t (k), s (k) of the samples of its bead."""
     first = min(int(np.searchsorted(t, event.start)), len(t) - 1)
     resting = event.start <= t[first] <= event.start + event.duration
     return float(s[first] if resting else np.interp(event.start, t, s))
 
 
 def _pushed(t: Array, events: Sequence[Event]) -> Array:
-    """Filament (n) [m] that events have pushed by the instants t (n); NaN if one of them is no number."""
+    """Filament (n) [m] that events have pushed by the instants t (n); NaN if an event is not finite."""
     if not np.isfinite([(event.start, event.duration, event.amount) for event in events]).all():
         return np.full(len(t), np.nan)
     pushes = sorted((event for event in events if event.amount != 0.0), key=lambda event: event.start)
@@ -376,7 +377,7 @@ def _pushed(t: Array, events: Sequence[Event]) -> Array:
 
 
 def _own_tool(names: list[str], toolpath: Toolpath, t: Trajectory) -> Check:
-    """Whatever is laid, pushed or pulled is fed by the tool of the material that it has to be."""
+    """All filament laid, pushed or pulled is fed by the tool of the required material."""
     own = np.array([names.index(bead.material) if bead.material in names else NONE for bead in toolpath.beads])
     wanted = np.where(t.deposit, own[t.bead], NONE)
     wrong = t.deposit & ((selected(names, t.events, t.t) != wanted) | (wanted == NONE))
@@ -386,16 +387,16 @@ def _own_tool(names: list[str], toolpath: Toolpath, t: Trajectory) -> Check:
         if event.amount == 0.0:
             continue
         middle = selected(names, t.events, np.array([event.start + 0.5 * event.duration]))[0]
-        bead = event.bead if 0 <= event.bead < len(own) else t.first_bead  # what is pushed before all is for that one
+        bead = event.bead if 0 <= event.bead < len(own) else t.first_bead  # pushes before any bead are for the first
         if event.kind == "purge" and bead > t.first_bead and event.start < changes.get(bead, -np.inf):
-            bead -= 1  # what a pause purges is of the material before
+            bead -= 1  # a pause purges the previous material
         if middle == NONE or not names[middle] == event.material == toolpath.beads[bead].material:
             count, where = count + 1, f"{event.kind} of bead {event.bead}" if count == 0 else where
     return Check("material fed by its own tool", float(count), 0.0, "samples and events", count == 0, where)
 
 
 def _changes(judged: Judged) -> Check:
-    """Wherever the material changes, robot and extruder rest at home for it, and the new material is purged."""
+    """Wherever the material changes, robot and extruder rest at home, and the new material is purged."""
     toolpath, t, change = judged.toolpath, judged.trajectory, judged.problem.process.change
     worst, where = 0.0, EVERYWHERE
     purges = [event for event in t.events if event.kind == "purge"]
@@ -419,9 +420,9 @@ def _changes(judged: Judged) -> Check:
 
 
 def _as_named(judged: Judged) -> Iterator[Check]:
-    """The check that beads are of the material that the layers name; none where they name none, or the tools of a file do.
+    """The check that beads are of the material that the layers name; none if they name none or a file's tools do.
 
-    Beads of a wing's support and of a mesh's infill are known by their names. Lines around the first layer are of any.
+    Beads of a wing's support and of a mesh's infill are recognised by their names. Skirt lines may be of any material.
     """
     layers, beads = judged.problem.layers, judged.toolpath.beads
     parts = {mark: getattr(layers, part, None) for part, mark in (("support", "support "), ("infill", " infill "))}
@@ -440,15 +441,15 @@ def _as_named(judged: Judged) -> Iterator[Check]:
 
 
 def away_from_home(judged: Judged, start: float, time: float) -> float:
-    """How far [rad or m] the arm's joints are from home at most in the `time` from `start` on [s]."""
+    """Greatest distance [rad or m] of the arm's joints from home during `time` after `start` [s]."""
     t, arm = judged.trajectory, len(judged.cell.arm)
     first, last = np.searchsorted(t.t, start + np.array([INSTANT, time - INSTANT]))
     return float(np.abs(t.q[first:last, :arm] - judged.cell.home[:arm]).max(initial=0.0))
 
 
 def rest(t: Trajectory, event: Event, wait: float, time: float, laying: bool = False) -> float:
-    """How long [s] the robot stands still in the `time` from an event on, within a bead or, usually, in travel; no filament
-    moves in the first `wait` of it."""
+    """How long [s] the robot stands still during `time` after an event's start, in travel or, if `laying`, within a
+    bead; during the first `wait` no filament may move either."""
     first, silent, last = np.searchsorted(t.t, event.start + np.array([-INSTANT, wait + INSTANT, time + INSTANT]))
     still = np.abs(np.diff(t.q[first:last], axis=0)).max(axis=1, initial=0.0) < STILL
     moved = np.abs(np.diff(t.feed[first:last])) > UNMOVED

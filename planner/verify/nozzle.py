@@ -1,13 +1,13 @@
-"""Whether nozzle and print head keep clear of part and print, as far as these are printed at every instant.
+"""Whether nozzle and print head keep clear of part and print, as printed so far at every instant.
 
-No fixed distance can be kept where the nozzle lays one bead beside another. In the tip's zone a point at distance r from
-the tip is to be TIP_SLOPE * r away, less a slack for the nozzle's face and the bead; where that exceeds the distance asked
-for, the latter is kept. What is there from the start may be entered by half a bead's height at most; how deep beads are
-pressed where less than nothing is asked for: `pressed`. The margin of a point is its distance less what it is to keep; checks
-tell true distances, and what is asked for at the same place.
+No fixed distance can be kept where the nozzle lays one bead beside another. In the tip's zone, a point at distance r
+from the tip must be TIP_SLOPE * r away, less a slack for the nozzle's face and the bead; the requirement never exceeds
+the clearance that the problem sets. Bodies there from the start may be penetrated by half a bead's height at most;
+where the requirement is negative, `pressed` checks how deep beads are pressed. The margin of a point is its distance
+minus the required one; checks report true distances, and the required distance at the same place.
 
-The compiled loops bound by how much a margin can change with the motion, and pass over samples, points and instants
-between samples as long as the least margin cannot lie there. All is in the part frame, in metres; n counts samples.
+The compiled loops bound how much a margin can change with the motion, and skip samples, points and instants between
+samples where the least margin cannot lie. All values are in the part frame, in metres; n counts samples.
 """
 
 from __future__ import annotations
@@ -43,24 +43,24 @@ from planner.verify.by_height import HeightBounds, height_above, height_bounds, 
 from planner.verify.checks import DIGITS, EVERYWHERE, FAR, TOLERANCE, Judged, place
 from planner.verify.executed import ExecutedMotion
 
-_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
-_OFTEN = 25  # samples after which every body is looked at again, wherever it is
-_LOOK = 0.25  # share of the tip's zone ahead of it in which beads on a surface may count as laid before they are
-_BLOCK = 2e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
-_MOST_PARTS = 64  # of the time between two samples
-_RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
-_STEEP = 1e3  # slope by which no point within the tip's zone counts
-_SPARE = 0.1  # of the least distance beyond the tip's zone, by which the one that is found may exceed the true one
-_AMPLE = 5e-3  # m: by so much more than the nearest body no other one is looked for
-_AT_ONCE = 50_000  # samples of a block whose true distances a thread looks for
-_SHORTEST, _LONGEST = 6, 50  # samples of a stretch that is passed over by heights
-_SKIPPED = 8  # looks without such a try after one that failed
-_WORTH_BOUNDS = 2000  # samples of a way from which bounds by height are worth their finding
-_RARELY = 100  # samples between looks, at most, where bounds by height show that none would find much
-_FEW_LOOKS = 4000  # of a long way, about, where they do
-_FIRST_LOOKS = 1000  # of a body, at most, that find how near it is about
-_DEEP = 20e-3  # m beneath the tip: what is deeper counts as if it were there
-_DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
+_ZERO: Any = np.int64(0)  # a plain 0 has its own type, for which kernels would be compiled again
+_OFTEN = 25  # samples: most in a block, and most between looks at a body without bounds by height
+_LOOK = 0.25  # × the tip's zone: beads on a surface this far ahead of the tip may already count as laid
+_BLOCK = 2e-3  # m of the tip's path in one block: the longer, the more points may matter
+_MOST_PARTS = 64  # most parts of the time between two samples
+_RATE = 1.0 + TIP_SLOPE  # × a motion: most that a margin beyond the tip's zone changes
+_STEEP = 1e3  # slope so steep that no point within the tip's zone counts
+_SPARE = 0.1  # × the least distance beyond the tip's zone: the one found may exceed the true one by this
+_AMPLE = 5e-3  # m: margins that exceed that of the nearest body by more are not resolved
+_AT_ONCE = 50_000  # samples of a block in which one thread finds true distances
+_SHORTEST, _LONGEST = 6, 50  # samples of a stretch skipped by heights
+_SKIPPED = 8  # looks after a failed skip before the next one is tried
+_WORTH_BOUNDS = 2000  # samples: bounds by height pay off for paths at least this long
+_RARELY = 100  # most samples between looks where bounds by height show that none would find anything near
+_FEW_LOOKS = 4000  # about the number of looks along a long path where they do
+_FIRST_LOOKS = 1000  # about the most looks per body for a first estimate of the least distance
+_DEEP = 20e-3  # m beneath the tip: deeper points count as if they were at this depth
+_DEEPEST = 64  # intervals waiting at once: more than the samples of a block can produce
 
 
 class HeadSolids(NamedTuple):
@@ -75,11 +75,11 @@ class HeadSolids(NamedTuple):
 
 
 class NozzleWay(NamedTuple):
-    """How the nozzle goes (n samples), and what of the print is there.
+    """The nozzle's motion (n samples), and how much is printed.
 
     tip (n, 3) [m] and rotation (n, 3, 3)   its tip and axes in the part frame
     path (n) [m], turned (n) [rad]          how far they have moved and turned since the first sample
-    now (n), seen (n)                       what is printed, see `print_times`, and what may count as printed
+    now (n), seen (n)                       how much is printed, see `print_times`, and may count as printed
     slack (n), graze (n) [m]                as `TipRule` has them
     """
 
@@ -94,8 +94,8 @@ class NozzleWay(NamedTuple):
 
 
 class BlockRoom(NamedTuple):
-    """Room for a block of samples: poses (samples, 4, 4) of a solid, and intervals that wait, the samples (m, 2) at their
-    ends and the values (m, 2) there."""
+    """Working memory for a block of samples: poses (samples, 4, 4) of a solid, and for waiting intervals the samples
+    (m, 2) at their ends and the values (m, 2) there."""
 
     poses: Array
     samples: Ints
@@ -106,10 +106,10 @@ class BlockRoom(NamedTuple):
 def least_along(tree, solids, way, clearance, slope, bounds, search):
     """The least value of `nearest_point` along a motion, FAR at most; its sample, body and point, or -1.
 
-    Block by block of samples: every point that could matter in it is followed through it by itself.
+    Samples are taken in blocks; each point that could matter is followed through the block separately.
 
-    tree: `TreeArrays`; solids: `HeadSolids`; way: `NozzleWay`; clearance [m] and slope as in `TipRule`; bounds: `HeightBounds`,
-    which may be of no body; search: `SearchRoom`.
+    tree: `TreeArrays`; solids: `HeadSolids`; way: `NozzleWay`; clearance [m] and slope as in `TipRule`; bounds:
+    `HeightBounds`, which may cover no body; search: `SearchRoom`.
     """
     points, time, low_ones = tree.points, tree.time, len(bounds.floor)
     centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
@@ -188,7 +188,7 @@ def least_along(tree, solids, way, clearance, slope, bounds, search):
 
 @inner_njit
 def _here_and_there(tree, solids, way, clearance, slope, search):
-    """The least value at some samples, its sample, body and point: it spares many of the looks that follow."""
+    """The least value at some samples, its sample, body and point: it saves many of the later looks."""
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
     tip, rotation, slack, graze, seen = way.tip, way.rotation, way.slack, way.graze, way.seen
     least, where, whose, which = FAR, 0, 0, -1
@@ -205,11 +205,12 @@ def _here_and_there(tree, solids, way, clearance, slope, search):
 
 @inner_njit
 def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, room):
-    """The least value of one point in samples a .. b, in which a body is at poses, if it is less; and its sample.
+    """The least value of one point in samples a .. b and its sample, if it is below `least`.
 
-    A point that is laid in the meantime counts from the first sample that sees it, and in the instants before that.
+    A point laid in the meantime counts from the first sample that sees it, and at the instants just before that sample.
 
-    of: the point in the tree's order; T_solid_nozzle (4, 4); rule: `TipRule` of the block; room: `BlockRoom`
+    of: the point in the tree's order; T_solid_nozzle (4, 4); rule: `TipRule` of the block; room: `BlockRoom` with the
+    body's poses at the samples
     """
     point, time = tree.points[of], tree.time[of]
     tip, path, turned, seen = way.tip, way.path, way.turned, way.seen
@@ -261,10 +262,10 @@ def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, roo
 
 @inner_njit
 def _least_between(tree, of, solid, T_solid_nozzle, way, first, rule, both, moved, target):
-    """The least value of a point, in the tree's order, at instants between a sample and the next, so many that none below the target lies
-    between.
+    """The least value of a point between a sample and the next, at enough instants to miss none below the target.
 
-    both: the sum of the values at the two, from which it moves by no more than `moved` on the way
+    of: the point in the tree's order; both: the sum of its values at the two samples; moved: most that a value changes
+    in between [m]
     """
     pa, pb, Ra, Rb = way.tip[first], way.tip[first + 1], way.rotation[first], way.rotation[first + 1]
     parts, least = 1, np.inf
@@ -280,13 +281,14 @@ def _least_between(tree, of, solid, T_solid_nozzle, way, first, rule, both, move
 
 @njit
 def margins_along(tree, solids, way, rule, often, bounds, margin, search):
-    """Fill margin, between looks interpolated; returns the least, its sample, body and point.
+    """Fill in `margin`, interpolated between looks; returns the least margin, its sample, body and point.
 
-    The slope is so steep that only points beyond the tip's zone count, slack / slope away. The least that these have to
-    spare is found to _SPARE of the distance. Looks are as far apart as the margins at both ends of an interval allow:
-    in between, the mean of the two falls by half of what the body moves at most.
-    Where all that is there stands too low to be nearer than the target (`none_so_near`), they are up to `often` samples apart.
-    rule: `TipRule` with the least slack of the way; margin (n) [m]; the others as in `least_along`.
+    The slope is so steep that only points beyond the tip's zone count, at least slack / slope away. Their least margin
+    is found to _SPARE of the distance. Looks are as far apart as the margins at both ends of an interval allow: in
+    between, a margin is no less than the mean of the two minus half of what the body moves. Where everything lies too
+    low to be nearer than the target (`none_so_near`), looks are up to `often` samples apart.
+
+    rule: `TipRule` with the least slack along the path; margin (n) [m]; the others as in `least_along`.
     """
     clearance, slope = rule.clearance, rule.slope
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
@@ -348,9 +350,9 @@ def margins_along(tree, solids, way, rule, often, bounds, margin, search):
 
 @inner_njit
 def _next_look(way, k, spare, arm, slope):
-    """The sample that is looked at after k: as far on as may do if the margin there is what it is at k.
+    """The sample to look at after k: as far on as is enough if the margin there equals that at k.
 
-    spare: what the margin may fall by [m]; arm: how far the body reaches from the tip [m]
+    spare: how far the margin may fall [m]; arm: how far the body reaches from the tip [m]
     """
     path, turned, now, slack = way.path, way.turned, way.now, way.slack
     seeing, m = way.seen[k], k + 1
@@ -358,7 +360,7 @@ def _next_look(way, k, spare, arm, slope):
         far = path[m + 1] - path[k]
         if spare < 0.5 * _RATE * (far + arm * (turned[m + 1] - turned[k])):
             break
-        # what is laid in the meantime lies where the tip has been: far within its zone
+        # beads laid in the meantime lie where the tip has been: well within its zone
         if now[m + 1] > seeing and 2.0 * far > slack[k] / slope:
             break
         m += 1
@@ -367,8 +369,7 @@ def _next_look(way, k, spare, arm, slope):
 
 @inner_njit
 def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, most, search):
-    """The margin of a body at sample k, `most` and FAR at most, and its point; the search begins with the known one, or
-    with -1."""
+    """The margin of a body at sample k, capped at `most` and FAR, and its point; `known`: where to begin, or -1."""
     T, rule, seeing = np.empty((4, 4)), TipRule(clearance, slope, way.slack[k], way.graze[k]), way.seen[k]
     _pose(T_solid_nozzle, way.rotation[k], way.tip[k], T)
     enough = min(FAR, most)
@@ -380,9 +381,9 @@ def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, most,
 
 @inner_njit
 def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target, search):
-    """The least margin of a body between samples k and k + 1, if it is less than the target, and its point, or -1.
+    """The least margin of a body between samples k and k + 1, if below the target, and its point; otherwise -1.
 
-    mean: of the margins at both; fall: how far below it the margin may be in between [m]
+    mean: of the margins at both samples; fall: how far below the mean a margin in between may be [m]
     """
     T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
     parts, least, which = 1, target, -1
@@ -399,7 +400,7 @@ def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target,
 
 @inner_njit
 def _pose(T_solid_nozzle, R, p, T):
-    """T_solid_part (4, 4) of a solid in the nozzle frame, whose axes in the part frame are R and whose origin is p."""
+    """T_solid_part (4, 4) of a solid, from the nozzle frame's axes R and origin p in the part frame."""
     for i in range(3):
         for k in range(3):
             T[i, k] = T_solid_nozzle[i, 0] * R[k, 0] + T_solid_nozzle[i, 1] * R[k, 1] + T_solid_nozzle[i, 2] * R[k, 2]
@@ -408,10 +409,10 @@ def _pose(T_solid_nozzle, R, p, T):
 
 @inner_njit
 def _between(Ra, Rb, pa, pb, share, R, p):
-    """The pose at a share of the way between two that differ little."""
+    """The pose at a fraction of the way between two that differ little."""
     for k in range(3):
         p[k] = (1.0 - share) * pa[k] + share * pb[k]
-    for column in (2, 0):  # z as it lies between, x at right angles to it
+    for column in (2, 0):  # z interpolated, x perpendicular to it
         length, along = 0.0, 0.0
         for i in range(3):
             R[i, column] = (1.0 - share) * Ra[i, column] + share * Rb[i, column]
@@ -433,9 +434,9 @@ def _between(Ra, Rb, pa, pb, share, R, p):
 class Nearness:
     """How near bodies that move with the nozzle come to part and print (n samples).
 
-    margin (n)   distance less what is to be kept [m], FAR at most; interpolated between evaluations; may be empty
+    margin (n)   distance minus the required one [m], FAR at most; interpolated between evaluations; may be empty
     least, at    the least margin [m] and its sample
-    body, point  index of the body that has it, and of the point in the tree's order, -1 if none is nearer than FAR
+    body, point  index of its body, and of its point in the tree's order; -1 if none is nearer than FAR
     """
 
     margin: Array
@@ -446,7 +447,7 @@ class Nearness:
 
 
 def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
-    """How much is printed at each sample (n): index of the bead plus share of its length; in travel, index of the next bead."""
+    """How much is printed at each sample (n): bead index plus share of its length; in travel, the next index."""
     bead = trajectory.bead
     lengths = np.array([each.length for each in toolpath.beads])
     share = np.clip(trajectory.s / lengths[np.maximum(bead, 0)], 0.0, 1.0)
@@ -456,8 +457,8 @@ def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
 
 
 def room_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory, nozzle: NozzleSpec) -> TipRoom:
-    """What is not asked for near a nozzle's tip at each sample (n): of its bead, in travel the greater of the beads at its
-    ends."""
+    """Relief from the required distance near a nozzle's tip at each sample (n): that of its bead, or in travel the
+    greater of the beads before and after."""
     begun, bead = trajectory.begun, np.maximum(trajectory.bead, 0)
     last, following = np.maximum(begun, 0), np.minimum(begun + 1, len(toolpath.beads) - 1)
     return TipRoom(
@@ -478,7 +479,7 @@ def nozzle_nearness(
     look: float = _LOOK,
 ) -> Nearness:
     """The least of distance - min(clearance, TIP_SLOPE * distance from the tip - slack) along a motion, and of distance +
-    graze from what is there from the start (see `nearest_point`), to TOLERANCE, also between samples."""
+    graze for points there from the start (see `nearest_point`), to TOLERANCE, also between samples."""
     way, solids = _way(motion, now, room.slack, room, look), _solids(bodies)
     bounds = _bounds(tree, solids, way, TipRule(clearance, TIP_SLOPE, float(room.slack.min()), np.inf), 2e-5, 0.02)
     found = least_along(tree.arrays, solids, way, clearance, TIP_SLOPE, bounds, search_room())
@@ -494,7 +495,7 @@ def beyond_the_tip(
     clearance: float,
     look: float = _LOOK,
 ) -> Nearness:
-    """Margins of true distances, less the clearance, from points beyond the tip's zone.
+    """Margins of true distances, minus the clearance, from points beyond the tip's zone.
 
     The least is exact to TOLERANCE where it is negative, and to _SPARE of the distance elsewhere.
     """
@@ -508,7 +509,7 @@ def beyond_the_tip(
     found: dict[int, tuple[float, int, int, int]] = {}
 
     def look_along(at: slice) -> None:
-        """A block, and up to the first sample of the next."""
+        """Search a block, up to and including the first sample of the next."""
         some = NozzleWay(*(values[at.start : min(at.stop + 1, n)] for values in way))
         own = np.full(len(some.now), FAR)
         least, k, body, point = margins_along(tree.arrays, solids, some, rule, often, bounds, own, search_room())
@@ -522,25 +523,25 @@ def beyond_the_tip(
 def _bounds(
     tree: PointTree, solids: HeadSolids, way: NozzleWay, rule: TipRule, nearest: float, fine: float
 ) -> HeightBounds:
-    """Least margins by height; of no body, where a way is so short that it is looked at sooner than they are found."""
+    """Least margins by height; for no body where the path is too short for them to pay off."""
     arrays, enough = tree.arrays, len(way.now) >= _WORTH_BOUNDS
     own = solids if enough else _no_solids(solids)
     return height_bounds(arrays, own, rule, _DEEP, nearest, fine)
 
 
 def _no_solids(like: HeadSolids) -> HeadSolids:
-    """None, as arrays of the same types."""
+    """No solids, as empty arrays of the same types."""
     kind, size, planes, T_solid_frame, centre, reach = like
     return HeadSolids(kind[:0], size[:0], planes[:0], T_solid_frame[:0], centre[:0], reach[:0])
 
 
 def _solids(bodies: Packed) -> HeadSolids:
-    """Bodies as the kernels want them."""
+    """Bodies in the form that the kernels take."""
     return HeadSolids(bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach)
 
 
 def _way(motion: ExecutedMotion, now: Array, slack: Array, asked: TipRoom, look: float) -> NozzleWay:
-    """A motion as the kernels want it; asked: what they are to ask with."""
+    """A motion in the form that the kernels take; asked: the slack and graze that they apply."""
     tip, rotation = np.ascontiguousarray(motion.tip), np.ascontiguousarray(motion.rotation)
     seen = now[_looked_ahead(motion.tip, now, slack, look)]
     return NozzleWay(tip, rotation, *_path_lengths(tip, rotation), now, *asked, seen)
@@ -557,7 +558,7 @@ def beyond(judged: Judged) -> Nearness:
 
 
 def _nearest(judged: Judged, look: Callable[..., Nearness]) -> Nearness:
-    """The least of what `look` finds with each nozzle while it is in use."""
+    """The least of the results of `look` for each nozzle while it is in use."""
     problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
     now, found = print_times(toolpath, t), []
     for cell, rows in judged.stretches:
@@ -571,10 +572,10 @@ def _nearest(judged: Judged, look: Callable[..., Nearness]) -> Nearness:
 
 
 def check_nozzle(judged: Judged, near: tuple[Nearness, Nearness]) -> Check:
-    """The check of nozzle and head, by the rule for the tip; told are true distances.
+    """The check of nozzle and head, by the rule for the tip; true distances are reported.
 
-    Where the rule holds, the least distance beyond the tip's zone is told; where it does not, the distance at the worst
-    place, and what is asked for there. near: the results of `by_the_tip` and `beyond`
+    Where the rule holds, the least distance beyond the tip's zone is reported; where it does not, the distance at the
+    worst place and the one required there. near: the results of `by_the_tip` and `beyond`
     """
     rule, far = near
     name, need = "nozzle clear of part and print", judged.problem.collision.nozzle
@@ -588,7 +589,7 @@ def check_nozzle(judged: Judged, near: tuple[Nearness, Nearness]) -> Check:
 
 
 def asked_at(judged: Judged, rule: Nearness) -> float:
-    """The distance [m] that the rule for the tip asks for at the place where least of it is to spare."""
+    """The distance [m] that the rule for the tip requires at the place of the least margin."""
     need, tree = judged.problem.collision.nozzle, judged.body.tree
     if rule.point < 0:
         return need
@@ -605,7 +606,7 @@ def _away(judged: Judged, near: Nearness) -> float:
 
 
 def _whose(judged: Judged, near: Nearness) -> str:
-    """The place in words: which body, near what, and when."""
+    """The place in words: which body, near which other, and when."""
     if near.point < 0:
         return EVERYWHERE
     pair = f"{judged.cell_at(near.at).head[near.body].name} and {judged.body.name_of(near.point)}"
@@ -613,12 +614,12 @@ def _whose(judged: Judged, near: Nearness) -> str:
 
 
 def _look(toolpath: Toolpath) -> float:
-    """Share of the tip's zone ahead of it in which what is laid may count as there: none where struts rise into the nozzle."""
+    """Share of the tip's zone ahead of it in which beads may count as laid: 0 where struts rise into the nozzle."""
     return 0.0 if any(bead.round for bead in toolpath.beads) else _LOOK
 
 
 def _looked_ahead(tip: Array, now: Array, slack: Array, look: float) -> Ints:
-    """The later sample (n) up to which what is laid may count as printed at each: a part of the tip's zone ahead."""
+    """The later sample (n) up to which beads may count as printed at each sample: a part of the tip's zone ahead."""
     far = arc_lengths(tip)
     bead = np.floor(now)
     last = np.searchsorted(bead, bead, side="right") - 1

@@ -1,11 +1,12 @@
 """How deep the nozzle presses into what it has laid: the verifier's own model of the print as it grows.
 
-Nothing of the planner's obstacles is used. Beads are laid anew by the tip as the joints have it: balls in rows across the
-bead's width, so dense that their tops are flat, each from the instant at which the tip passes. The nozzle is its outline,
-turned about its axis. Where it touches a bead beside it, the distance is 0; where it is lower, the bead is pressed flat, by
-the depth that is told. What the nozzle has just laid, and its face is still shaping, does not count.
+The planner's obstacles are not used. Beads are modelled again from the tip as the joints move it: rows of balls across
+the bead's width, so dense that their tops are flat, each present from the instant at which the tip passes. The nozzle
+is its outline, revolved about its axis. Where it just touches a neighbouring bead, the distance is 0; where it is
+lower, it presses the bead flat by the depth reported. Material just laid, which the nozzle's face is still shaping,
+does not count.
 
-All is in the part frame, in metres; n counts samples, m rows of balls.
+All values are in the part frame, in metres; n counts samples, m rows of balls.
 """
 
 from __future__ import annotations
@@ -22,23 +23,23 @@ from planner.cell.bodies import nozzle_profile
 from planner.plan import Check
 from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
 
-_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
-_APART = 0.25  # bead's heights between balls: their tops lie at most 0.016 heights beneath the bead's
-_OFTEN = 0.25  # bead's heights that the tip moves, or the nozzle's rim turns, from look to look
-_CELLS = 1.5  # cells of the grid on the way that the nozzle can touch beads on: more take longer, and so do fewer
-_AT_ONCE = 100_000  # rows that are made at once
-_MIXES = 0x9E3779B97F4A7C15  # odd, and of 2**64 the golden ratio's part: keys in a row land far apart
-LIMIT = 0.5  # of a bead's height, by which the nozzle may press into it: the rest still lies where it was laid
+_ZERO: Any = np.int64(0)  # a plain 0 has its own type, for which kernels would be compiled again
+_APART = 0.25  # bead heights between balls: their tops lie at most 0.016 heights below the bead's
+_OFTEN = 0.25  # bead heights: how far the tip moves, or the nozzle's rim turns, between two looks
+_CELLS = 1.5  # grid cells per reach of the nozzle: more are slower, and so are fewer
+_AT_ONCE = 100_000  # rows made at once
+_MIXES = 0x9E3779B97F4A7C15  # odd, 2**64 / golden ratio: consecutive keys land far apart
+LIMIT = 0.5  # × a bead's height: the nozzle may press this deep into it; the rest stays where it was laid
 
 
 class LaidRows(NamedTuple):
-    """What is laid: rows (m) of balls across beads, in the order of their cells' keys, cells (c) of a grid.
+    """The beads as rows (m) of balls across them, in the order of their cells' keys, with cells (c) of a grid.
 
-    centre (m, 3), half (m, 3) [m]   middle of each row, and the way from there to its last ball
-    radius (m) [m], across (m)       of the balls of each row, and their number; height (m) [m] of the bead there
-    when (m)                         sample, and share of the way to the next, at which the tip passes
-    bead (m)                         which bead they are of
-    first (c + 1), key (c), since (c)   first row of each cell, its key, and the first time in it
+    centre (m, 3), half (m, 3) [m]   middle of each row, and the vector from there to its last ball
+    radius (m) [m], across (m)       radius and number of the balls of each row
+    height (m) [m], bead (m)         height of the bead there, and the bead
+    when (m)                         sample, and fraction of the way to the next, at which the tip passes
+    first (c + 1), key (c), since (c)   first row of each cell, its key, and its earliest `when`
     table (2^k)                      cell by its key: open addressing, -1 where there is none
     low (3), wide (3), size          corner of the grid [m], cells along its sides, and a cell's side [m]
     """
@@ -61,8 +62,8 @@ class LaidRows(NamedTuple):
 
 @dataclass(frozen=True)
 class Pressed:
-    """The worst overlap of nozzle and print: share of the bead's height there, depth [m], at sample `at` in bead `bead`, `away`
-    [m] from the tip; and the greatest depth of all [m]. 0 and -1 where nothing overlaps."""
+    """The worst overlap of nozzle and print: share of the bead's height, depth [m], at sample `at` in bead `bead`,
+    `away` [m] from the tip; and the greatest depth anywhere [m]. 0 and -1 where nothing overlaps."""
 
     share: float = 0.0
     depth: float = 0.0
@@ -73,7 +74,7 @@ class Pressed:
 
 
 def pressed(judged: Judged) -> Findings:
-    """The check of how deep the nozzle presses into beads printed before, as a share of their height."""
+    """The check of how deep the nozzle presses into beads printed earlier, as a share of their height."""
     found, where = deepest(judged), EVERYWHERE
     if found.at >= 0:
         where = f"{found.depth * 1e3:.3f} mm into bead {found.bead}, {found.away * 1e3:.1f} mm from the tip, "
@@ -84,7 +85,7 @@ def pressed(judged: Judged) -> Findings:
 
 
 def deepest(judged: Judged) -> Pressed:
-    """The deepest overlap of the nozzle's outline with beads that were laid before, by their heights."""
+    """The deepest overlap of the nozzle's outline with beads laid earlier, relative to their heights."""
     t, motion, cell = judged.trajectory, judged.motion, judged.problem.cell
     profiles = {
         own.nozzle_name: np.array(nozzle_profile(cell.nozzle_named(own.nozzle_name))) for own, _ in judged.stretches
@@ -108,8 +109,8 @@ def deepest(judged: Judged) -> Pressed:
 
 
 class Laid(NamedTuple):
-    """Where beads are laid (k): tip and outward normal (k, 3), width and height [m], bead, and the sample (k), -1 for what is
-    there before all."""
+    """Where beads are laid (k): tip and outward normal (k, 3), width and height [m], bead, and the sample (k), -1 for
+    beads that are there from the start."""
 
     tip: Array
     normal: Array
@@ -120,10 +121,10 @@ class Laid(NamedTuple):
 
 
 def laid_beads(judged: Judged) -> Laid:
-    """What the motion lays, and before it the beads from which a print is resumed."""
+    """The beads that the motion lays, after those that are there already where a print is resumed."""
     t, beads = judged.trajectory, judged.toolpath.beads
     at = np.flatnonzero(t.deposit)
-    ends = np.cumsum([bead.length + 1.0 for bead in beads])  # of beads on one line, 1 m from each other
+    ends = np.cumsum([bead.length + 1.0 for bead in beads])  # of all beads on one line, 1 m apart
     starts = np.append(0.0, ends[:-1])
     s = np.concatenate([bead.s + start for bead, start in zip(beads, starts, strict=True)])
     before = beads[: t.first_bead]
@@ -144,7 +145,7 @@ def laid_beads(judged: Judged) -> Laid:
 
 
 def _rows(laid: Laid, size: float) -> LaidRows:
-    """The rows of balls of what is laid, in a grid whose cells have this size [m]."""
+    """The rows of balls of the beads, in a grid with cells of this size [m]."""
     tip, _, width, height, bead, sample = laid
     same = np.diff(bead) == 0
     apart = _APART * np.minimum(width, height)[1:]
@@ -172,7 +173,7 @@ def _rows(laid: Laid, size: float) -> LaidRows:
     keys, first = np.unique(key[order], return_index=True)
     of, at = of[order], at[order]
     found = Balls(centre, *(np.empty((len(at), *shape), kind) for shape, kind in _KINDS))
-    for rows in _blocks(len(at)):  # once more, in this order: to sort all of them would take as much memory again
+    for rows in _blocks(len(at)):  # computed again in this order: sorting them would take as much memory again
         for values, own in zip(found, balls(rows), strict=True):
             values[rows] = own
     when = np.interp(at, covered, sample)
@@ -184,7 +185,7 @@ def _rows(laid: Laid, size: float) -> LaidRows:
 
 
 class Balls(NamedTuple):
-    """Of rows (m), as `LaidRows` has them."""
+    """Balls of rows (m): fields as in `LaidRows`."""
 
     centre: Array
     half: Array
@@ -198,14 +199,14 @@ _KINDS = (
     ((), float),
     ((), np.int64),
     ((), float),
-)  # of the fields behind the first: shape and type of a row
+)  # shape and type of a row, for the fields after the first
 
 
 def _balls(laid: Laid, covered: Array, at: Array, low: Array, high: Array) -> Balls:
-    """Rows of balls at places (m) along what is laid, on beads from `low` to `high` (m); covered (k): places of its samples."""
+    """Rows of balls at places (m) along the beads, from `low` to `high` (m) of each; covered (k): of the samples."""
 
     def there(values: Array, at: Array = at) -> Array:
-        """Values (k) or (k, 3) of samples, at each row."""
+        """Values (k) or (k, 3) of samples, interpolated at each row."""
         columns = values.reshape(len(values), -1).T
         return np.stack([np.interp(at, covered, column) for column in columns], axis=-1).reshape(-1, *values.shape[1:])
 
@@ -226,7 +227,7 @@ def _blocks(count: int) -> Iterator[slice]:
 
 @njit
 def _table(keys, bits):
-    """Numbers of cells by their keys (c): open addressing in 2^bits places."""
+    """Hash table of cell numbers by their keys (c): open addressing in 2^bits places."""
     table = np.full(1 << bits, -1, dtype=np.int64)
     last = (1 << bits) - 1
     for k in range(len(keys)):
@@ -239,7 +240,7 @@ def _table(keys, bits):
 
 @njit
 def _looks(tip, axis, often, reach):
-    """Samples at which the tip has moved, or the nozzle turned at its reach, by `often` [m] since the one before."""
+    """Samples at which the tip, with the nozzle's turn at its reach, has moved by `often` [m] since the last."""
     out, count = np.empty(len(tip), np.int64), _ZERO
     for i in range(len(tip)):
         if count > 0:
@@ -256,8 +257,8 @@ def _looks(tip, axis, often, reach):
 
 @inner_njit
 def outline_distance(profile, r, z):
-    """Signed distance [m] of a point at radius r and height z above the tip from the nozzle's outline (k, 2), which goes on
-    upwards for ever."""
+    """Signed distance [m] of a point at radius r and height z above the tip from the nozzle's outline (k, 2), which
+    extends upwards without end."""
     inside = z > 0.0
     best = np.inf
     for k in range(-1, len(profile)):
@@ -278,11 +279,11 @@ def outline_distance(profile, r, z):
 
 @njit
 def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
-    """The greatest overlap of the nozzle with balls laid before, as a share of their bead's height, its sample and row, or -1,
-    how far the ball is from the tip [m], and the greatest depth of all [m].
+    """The greatest overlap of the nozzle with balls laid earlier, as a share of their bead's height; its sample and
+    row, or -1; the ball's distance from the tip [m]; and the greatest depth anywhere [m].
 
-    Only balls within `reach` [m] of the tip are looked at, and of the bead that is being laid none that was laid on the last
-    `shaped` [m] of its way.
+    Only balls within `reach` [m] of the tip are examined, and none of the bead being laid that lie on the last `shaped`
+    [m] of the tip's path.
     """
     centre, half, radius, across, when, whose = rows.centre, rows.half, rows.radius, rows.across, rows.when, rows.bead
     height, lowest = rows.height, rows.height.min()
@@ -298,7 +299,7 @@ def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
     widest = np.sqrt(widest)
     span = 0.5 * np.sqrt(3.0) * size + thickest + widest
     best, where, which, apart, greatest = 0.0, _ZERO - 1, _ZERO - 1, 0.0, 0.0
-    beat = 0.0  # m: no depth up to this one is a greater share of any height
+    beat = 0.0  # m: no depth up to this is a greater share of any bead's height
     from_, to = np.empty(3, np.int64), np.empty(3, np.int64)
     for j in looks:
         p, a = tip[j], axis[j]
@@ -331,7 +332,7 @@ def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
                         mx, my, mz = centre[i, 0] - p[0], centre[i, 1] - p[1], centre[i, 2] - p[2]
                         rise = abs(hx * a[0] + hy * a[1] + hz * a[2])
                         if rise - (mx * a[0] + my * a[1] + mz * a[2]) < beat - radius[i]:
-                            continue  # all of the row is beneath the nozzle's face
+                            continue  # the whole row is below the nozzle's face
                         for b in range(across[i]):
                             off = 2.0 * b / (across[i] - 1) - 1.0 if across[i] > 1 else 0.0
                             vx, vy, vz = mx + off * hx, my + off * hy, mz + off * hz
@@ -355,7 +356,7 @@ def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
 
 @inner_njit
 def _still_shaped(when, j, shaped, tip):
-    """Whether the tip has come at most `shaped` [m] from where it was at an instant to sample j."""
+    """Whether the tip has moved at most `shaped` [m] along its path between an instant and sample j."""
     gone = 0.0
     for k in range(int(when), j):
         step = 0.0

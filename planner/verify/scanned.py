@@ -1,8 +1,8 @@
-"""What a scan found printed, read and worked out anew: by how much layers above are to lie off the drawing, and whether
-the nozzle stands as high over the print as its beads are.
+"""A scanned print, read and evaluated independently: how far layers above must lie off the drawing, and how high the
+nozzle is above the print.
 
-Nothing is taken from the beads that were moved but the normals along which they are. The map is fitted by weighted means and
-covariances in the tangent plane; how high the nozzle is over the print comes from the measured places alone, unsmoothed.
+Of the displaced beads, only the normals along which they were moved are used. The map is fitted by weighted means and
+covariances in the tangent plane; the nozzle's height above the print comes from the measured places alone, unsmoothed.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from planner.problem.as_printed import AsPrintedSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.executed import ExecutedMotion
 
-_APART = 0.2e-3  # m between the samples of a bead at which the map is asked
-_TOGETHER = 512  # samples
-_EDGE = 0.5  # of the radius, by which a place may be beside the map
-_RIDGE = 1e-3  # of the squared radius, by which slopes are held level
+_APART = 0.2e-3  # m between the samples of a bead at which the map is evaluated
+_TOGETHER = 512  # samples processed at once
+_EDGE = 0.5  # × the radius: places farther off the map count as this far off
+_RIDGE = 1e-3  # × the squared radius: ridge term that holds slopes level
 _FACING = 0.5  # least cosine between a node's normal and the place's
-_HEIGHTS = 60  # samples of a bead at which its height is looked at
-_NEAR = 0.5  # of the radius, within which the print's height is told
-_AMID = 0.3  # of that, by which the middle of the places may be beside the tip
-_FEWEST = 4  # measured places around, from which the print's height is told
+_HEIGHTS = 60  # samples of a bead at which its height is checked
+_NEAR = 0.5  # × the radius: measured places within it give the print's height
+_AMID = 0.3  # × that: most that the mean of those places may lie to one side of the tip
+_FEWEST = 4  # least number of those places
 _MEASURED = "measured"
 _FIELDS = ("x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "deviation_mm")
 
@@ -46,8 +46,8 @@ class ScannedTop:
     measured: Array
 
     def around(self, foot: Array, normals: Array, radius: float) -> tuple[Ints, Ints, Array]:
-        """Pairs (m) of a foot (k, 3) and a node within a radius on the same side, and the way (m, 3) to it in the tangent
-        plane of the foot's normal."""
+        """Pairs (m) of a foot (k, 3) and a node within a radius that faces the same way, and the vectors (m, 3) between
+        them in the plane perpendicular to the foot's normal."""
         near = self.tree.query_ball_point(foot, radius)
         of = np.repeat(np.arange(len(foot)), [len(each) for each in near])
         node = np.array([i for each in near for i in each], dtype=np.int64)
@@ -58,12 +58,12 @@ class ScannedTop:
 
     @cached_property
     def tree(self) -> KDTree:
-        """To search nodes in."""
+        """A tree of the nodes, for searches."""
         return KDTree(self.points)
 
 
 def scanned_top(spec: AsPrintedSpec) -> ScannedTop:
-    """The map that a problem names. Raises InputError where it is not there any more, or none."""
+    """The map that a problem names. Raises InputError if it is gone or is no map."""
     try:
         stamp = spec.map.stat()
         return _read(spec.map, stamp.st_mtime_ns, stamp.st_size)
@@ -75,7 +75,7 @@ def scanned_top(spec: AsPrintedSpec) -> ScannedTop:
 
 @lru_cache(maxsize=2)
 def _read(path: Path, changed: int, size: int) -> ScannedTop:
-    """The map's file; `changed` and `size` tell one from what stood there before."""
+    """The map's file; `changed` and `size` identify its version."""
     with path.open(encoding="utf-8-sig") as stream:
         lines = [line for line in stream if not line.startswith("#")]
     table = np.genfromtxt(lines, delimiter=",", names=True, dtype=None, encoding="utf-8")
@@ -108,7 +108,7 @@ def _deviations(top: ScannedTop, places: Array, normals: Array, radius: float) -
     total = np.bincount(of, weight, minlength=k)
     alone = total <= 0.0
     safe = np.where(alone, 1.0, total)
-    # the regression's intercept: the means, and covariances with slopes held level by the ridge, in three dimensions
+    # intercept of the regression, from means and covariances in three dimensions; the ridge term holds slopes level
     mean_way = np.stack([np.bincount(of, weight * column, minlength=k) for column in way.T], axis=1) / safe[:, None]
     mean_d = np.bincount(of, weight * d, minlength=k) / safe
     spread = np.empty((k, 3, 3))
@@ -124,7 +124,7 @@ def _deviations(top: ScannedTop, places: Array, normals: Array, radius: float) -
 
 
 def _feet(top: ScannedTop, places: Array, normals: Array) -> Array:
-    """Where places (k, 3) stand over the map, down along their normals."""
+    """Feet of places (k, 3) on the map, down along their normals."""
     foot = places
     for _ in range(2):
         node = top.tree.query(foot)[1]
@@ -133,7 +133,7 @@ def _feet(top: ScannedTop, places: Array, normals: Array) -> Array:
 
 
 def still_off(deviation: Array, most: float, layers: Ints) -> Array:
-    """What is left (k) [m] of deviations (k) on top of so many layers (k), each of which makes up for `most` [m] at most."""
+    """Remainder (k) [m] of deviations (k) on top of so many layers (k), each of which corrects at most `most` [m]."""
     rest = np.array(deviation, dtype=float)
     for done in range(int(layers.max(initial=0))):
         some = layers > done
@@ -142,7 +142,7 @@ def still_off(deviation: Array, most: float, layers: Ints) -> Array:
 
 
 def over_print(top: ScannedTop, tips: Array, normals: Array, radius: float) -> Array:
-    """How high (k) [m] tips (k, 3) are over the print, along unit normals (k, 3), by the measured places around them; NaN
+    """Height (k) [m] of tips (k, 3) above the print, along unit normals (k, 3), by the measured places around them; NaN
     where there are too few."""
     known = ScannedTop(*(values[top.measured] for values in (top.points, top.normals, top.deviation, top.measured)))
     out = np.full(len(tips), np.nan)
@@ -153,15 +153,15 @@ def over_print(top: ScannedTop, tips: Array, normals: Array, radius: float) -> A
         of, node, way = known.around(foot, n, _NEAR * radius)
         real = known.points[node] + known.deviation[node, None] * known.normals[node]
         high = np.einsum("ij,ij->i", tips[rows][of] - real, n[of])
-        # less by what the surface falls away from the tangent plane: exact on circles
+        # corrected for the surface's drop from the tangent plane: exact on circles
         high += 0.5 * np.einsum("ij,ij->i", way, known.normals[node] - n[of])
         out[rows] = _levels(of, way, high, len(foot), _NEAR * radius)
     return out
 
 
 def _levels(of: Ints, way: Array, high: Array, k: int, radius: float) -> Array:
-    """The middle (k) of planes through heights (m) around feet, by least squares; NaN where there are too few, or these lie
-    to one side."""
+    """Height (k) at each foot of the least-squares plane through the heights (m) around it; NaN where there are too
+    few, or where they lie to one side."""
     count = np.bincount(of, minlength=k)
     rows = np.concatenate([np.ones((len(of), 1)), way / radius], axis=1)
     matrix, right = np.zeros((k, 4, 4)), np.zeros((k, 4))
@@ -180,7 +180,7 @@ def _levels(of: Ints, way: Array, high: Array, k: int, radius: float) -> Array:
 
 
 def normals_along(toolpath: Toolpath, t: Trajectory, at: Ints) -> Array:
-    """Unit normals (k, 3) of the beads at samples (k) of a trajectory that lie on beads."""
+    """Unit normals (k, 3) of the beads at samples (k) of a trajectory, all of them on beads."""
     out, s = np.empty((len(at), 3)), t.s[at]
     for i, own in _by_bead(t, at):
         bead = toolpath.beads[i]
@@ -190,14 +190,14 @@ def normals_along(toolpath: Toolpath, t: Trajectory, at: Ints) -> Array:
 
 
 def _by_bead(t: Trajectory, at: Ints) -> Iterator[tuple[int, Ints]]:
-    """Each bead of some samples (k), and where its own stand among them, in their order."""
+    """Each bead of some samples (k), and the indices of its own samples among them, in order."""
     order = np.argsort(t.bead[at], kind="stable")
     beads, first = np.unique(t.bead[at][order], return_index=True)
     return zip(beads.tolist(), np.split(order, first)[1:], strict=True)
 
 
 def asked_height(spec: AsPrintedSpec, bead: Bead, drawn: float) -> tuple[Ints, Array]:
-    """Some samples (k) of a bead, and how high (k) [m] it is to be there, where it was drawn `drawn` [m] high."""
+    """Some samples (k) of a bead, and the height (k) [m] required there, if it was drawn `drawn` [m] high."""
     some = np.unique(np.linspace(0, len(bead.s) - 1, _HEIGHTS).astype(np.int64))
     above = bead.layer - spec.after_layer
     if above < 0:
@@ -208,8 +208,8 @@ def asked_height(spec: AsPrintedSpec, bead: Bead, drawn: float) -> tuple[Ints, A
 
 
 def drawn_tips(spec: AsPrintedSpec, toolpath: Toolpath, t: Trajectory, motion: ExecutedMotion) -> Array:
-    """Where the executed tip (n, 3) would be if the print were as it was drawn: without what layers are moved by, or in
-    travel what lies beneath."""
+    """The executed tip (n, 3) as if the print were exactly as drawn: without the displacement of its layer or, in
+    travel, of the print beneath."""
     out = motion.tip.copy()
     top = scanned_top(spec)
     layers = np.array([bead.layer for bead in toolpath.beads])[np.maximum(t.begun, 0)] + 1 - spec.after_layer

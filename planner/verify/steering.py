@@ -1,10 +1,10 @@
 """How tightly a fibre is steered: the least radius of its executed path within the surface that it lies on.
 
-A tow that lies on a curved surface bends with it; what its fibres do not follow is to be bent sideways, within the
-surface. The measure of that is the geodesic curvature, n · (x' × x'') of the executed tip x by its arc length, n the
-surface's normal: 0 along a geodesic, 1 / R along a circle of radius R on a plane. A tow is as wide as it is, so that it
-follows nothing shorter: derivatives are those of the parabolas that fit the tip best over SPAN tow widths, which is also
-what noise of an input leaves alone. A corner that was rounded shows as the radius that turns as much over that length.
+A tow on a curved surface bends with it freely; what its fibres resist is bending sideways, within the surface. That is
+measured by the geodesic curvature, n · (x' × x'') of the executed tip x by its arc length, n being the surface normal:
+0 along a geodesic, 1 / R along a circle of radius R on a plane. A tow has a width and cannot follow anything much
+shorter, so derivatives are those of the parabolas that fit the tip best over SPAN tow widths; noise of the input hardly
+affects them. A rounded corner appears as the radius that turns as much over that length.
 
 Run-in and run-out lay nothing and are not judged. Lengths are in metres.
 """
@@ -17,18 +17,18 @@ from planner.base.arrays import Array
 from planner.base.geometry import arc_lengths
 from planner.verify.checks import Findings, Judged, check_least
 
-SPAN = 4.0  # tow widths, over which curvature is found: a tow follows nothing shorter
-STRAIGHT = 10.0  # m: radii are told apart up to this one
-_STEPS = 40  # places on that length at which the tip is looked at
+SPAN = 4.0  # tow widths over which curvature is found: a tow follows nothing shorter
+STRAIGHT = 10.0  # m: greatest radius reported
+_STEPS = 40  # places on that length at which the tip is sampled
 _STILL = 1e-7  # m: samples nearer to each other are one place, as where the nozzle rests
-_FEWEST = 5  # places on a bead
-_LEAST_SPEED = 1e-6  # of the tip by its arc length, which is 1 but in a path that doubles back
+_FEWEST = 5  # least number of steps on a bead
+_LEAST_SPEED = 1e-6  # of the tip by its arc length, which is 1 except where a path doubles back
 
 
 def geodesic_curvature(tip: Array, normals: Array, span: float) -> Array:
     """Geodesic curvature (n) [1/m], found over a length `span` [m], of a path of tips (n, 3) [m] on a surface with unit
-    normals (n, 3): positive where it bends to the left as seen from outside. Of a shorter path, over all of it; 0 of one
-    that stands still.
+    normals (n, 3): positive where it bends to the left as seen from outside. A shorter path counts as a whole; for one
+    that stands still it is 0.
     """
     s = arc_lengths(tip)
     moved = np.flatnonzero(np.diff(s, prepend=-1.0) > _STILL)
@@ -46,21 +46,21 @@ def geodesic_curvature(tip: Array, normals: Array, span: float) -> Array:
     fitted = np.linalg.pinv(np.vander(np.arange(-half, half + 1) * step, 3, increasing=True))
     around = np.lib.stride_tricks.sliding_window_view(points, window, axis=0)
     along, bend = around @ fitted[1], around @ (2.0 * fitted[2])
-    within = slice(half, half + len(around))  # towards the ends it is that of the first and the last whole span
+    within = slice(half, half + len(around))  # nearer to the ends, that of the first and last whole span is used
     level = (np.cross(along, bend) * up[within]).sum(axis=1)
     curvature = level / np.maximum(np.linalg.norm(along, axis=1), _LEAST_SPEED)
     return np.asarray(np.interp(s, even[within], curvature))
 
 
 def steering(judged: Judged) -> Findings:
-    """The least radius of steering of all beads of fibre, and where the problem bounds it, the check."""
+    """The least steering radius of all fibre beads, and the check of it where the problem bounds it."""
     process, t, toolpath = judged.problem.process, judged.trajectory, judged.toolpath
     if process.section != "fibre":
         return Findings()
     radius = np.full(len(t), STRAIGHT)
     for i, (at, bead) in enumerate(zip(judged.samples, toolpath.beads, strict=True)):
         if len(at) < 3:
-            continue  # two places tell of no bend
+            continue  # two places show no bend
         tip = judged.drawn_tip[at]
         normals = toolpath.surface.normals_on(i, t.s[at], tip)
         curvature = np.abs(geodesic_curvature(tip, normals, SPAN * float(bead.width.max())))

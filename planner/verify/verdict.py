@@ -1,7 +1,7 @@
-"""All checks and metrics of a sampled trajectory: `verify` lists what is checked, in the order of the report.
+"""All checks and metrics of a sampled trajectory: `verify` runs them in the order of the report.
 
-Each part of it takes what is judged (`Judged`) and returns what it found (`Findings`). Lengths are in metres and angles
-in radians here; checks and metrics have the units that they name.
+Each part takes the input (`Judged`) and returns its results (`Findings`). Lengths are in metres and angles in radians
+here; checks and metrics have the units that they name.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ from planner.verify.pressed import pressed
 from planner.verify.reread.printed import as_the_problem_says
 from planner.verify.steering import steering
 
-POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: no more than interpolation between waypoints may add
-AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
-SPEED_RECORD = 1e-3  # m/s, recorded speed off the mean of two steps, beyond what four steps differ by
-AT_HOME = 1e-6  # rad or m, by which the motion may start or end beside home
-RECORD_TOLERANCE = 1e-6  # m: what the trajectory says of its tip against what its joints do
-BLOCK = 32768  # samples
-# Checks that fail where a motion keeps to its path at the samples but not between them.
+POSITION_TOLERANCE = 2e-5  # m: tip against the rounded path, for interpolation between waypoints
+AXIS_TOLERANCE = np.radians(0.05)  # rad: nozzle axis against the true normal
+SPEED_RECORD = 1e-3  # m/s: recorded speed against the mean of two steps, in excess of the spread of four steps
+AT_HOME = 1e-6  # rad or m: tolerance of the motion's start and end at home
+RECORD_TOLERANCE = 1e-6  # m: recorded tip against the tip by the joints
+BLOCK = 32768  # samples processed at once
+# Checks that fail where a motion keeps to its path at the path's samples but not between them.
 ON_PATH = frozenset(
     {
         "tip on the path",
@@ -88,11 +88,11 @@ def verify(
 ) -> Report:
     """Check a trajectory against the cell's limits and the input geometry; a failed check is reported, not raised.
 
-    Raises InputError for arrays of a trajectory that have different lengths: there are no samples to judge, then.
+    Raises InputError if arrays of the trajectory differ in length or are empty: then there are no samples to judge.
 
     body: part and print as obstacles, as `print_body` makes them of this toolpath and cell; made if not given.
 
-    Distances are found in threads beside the rest: their compiled loops release the GIL.
+    Distances are found in separate threads: their compiled loops release the GIL.
     """
     trajectory, finite = _finite(_samples(trajectory))
     trajectory, numbered = _numbered(trajectory, len(toolpath.beads))
@@ -128,7 +128,7 @@ def verify(
 
 
 def _samples(t: Trajectory) -> Trajectory:
-    """The trajectory. Raises InputError unless all of its arrays have a row for each sample."""
+    """The trajectory itself. Raises InputError unless it has samples and all of its arrays have a row for each."""
     rows = {name: len(value) for name, value in vars(t).items() if isinstance(value, np.ndarray)}
     odd = next((name for name, count in rows.items() if count != len(t)), None)
     if odd is not None or not len(t):
@@ -137,7 +137,7 @@ def _samples(t: Trajectory) -> Trajectory:
 
 
 def _numbered(t: Trajectory, beads: int) -> tuple[Trajectory, Findings]:
-    """The trajectory with travel in place of samples of beads that the toolpath does not have, and the check on these."""
+    """The trajectory with samples of beads unknown to the toolpath turned into travel, and the check on these."""
     first = min(max(t.first_bead, 0), beads - 1)
     unknown = (t.bead != TRAVEL) & ((t.bead < first) | (t.bead >= beads))
     odd = unknown | (t.first_bead != first)
@@ -147,12 +147,12 @@ def _numbered(t: Trajectory, beads: int) -> tuple[Trajectory, Findings]:
 
 
 def _finite(t: Trajectory) -> tuple[Trajectory, Findings]:
-    """The trajectory with 0 in place of each number that is not finite, and the check that there is none."""
+    """The trajectory with 0 in place of each number that is not finite, and the check that there are none."""
     fields = {name: value for name, value in vars(t).items() if isinstance(value, np.ndarray)}
     bad = np.zeros(len(t))
     for value in fields.values():
         finite = np.isfinite(value)
-        if not finite.all():  # to count sample by sample takes far longer
+        if not finite.all():  # counting per sample takes far longer
             bad += (~finite).reshape(len(t), -1).sum(axis=1)
     if bad.any():
         numbers: dict[str, Any] = {k: np.nan_to_num(v, posinf=0.0, neginf=0.0) for k, v in fields.items()}
@@ -161,7 +161,7 @@ def _finite(t: Trajectory) -> tuple[Trajectory, Findings]:
 
 
 def _records(judged: Judged) -> Findings:
-    """Tip, axis, orientation, branch, times and beads as recorded are those of the joints and the samples."""
+    """Recorded tip, axis, orientation, branch, times and beads agree with the joints and the samples."""
     t, motion = judged.trajectory, judged.motion
     off = np.empty(len(t))
     for rows in _blocks(len(t)):
@@ -170,7 +170,7 @@ def _records(judged: Judged) -> Findings:
         rotation = _worst(np.abs(motion.rotation[rows] - rotations(t.quat[rows])).reshape(len(tip), 9))
         off[rows] = np.maximum(np.maximum(tip, axis), rotation)
     checks = [check_most(t, "recorded poses", off * 1e3, RECORD_TOLERANCE * 1e3, "mm")]
-    if judged.cell.spherical:  # for other wrists no file states a branch
+    if judged.cell.spherical:  # for other wrists, no program states a branch
         checks.append(check_most(t, "recorded branch", (motion.branch != t.branch).astype(float), 0.0, ""))
     odd = (np.abs(t.t - np.arange(len(t)) * t.dt) > DIGITS) | (t.deposit != (t.bead >= 0))
     checks.append(check_most(t, "recorded times and beads", odd.astype(float), 0.0, ""))
@@ -180,7 +180,7 @@ def _records(judged: Judged) -> Findings:
 
 
 def _layers_around(judged: Judged) -> NDArray[np.int64]:
-    """Layers (n, 2) of the bead that each sample belongs to, or of those before and after it in travel."""
+    """Layers (n, 2) of the bead that each sample belongs to, or in travel of those before and after it."""
     t, k = judged.trajectory, np.arange(len(judged.trajectory))
     on = t.bead != TRAVEL
     before = np.maximum.accumulate(np.where(on, k, -1))
@@ -188,23 +188,23 @@ def _layers_around(judged: Judged) -> NDArray[np.int64]:
     before, after = np.where(before < 0, after, before), np.where(after == len(t), before, after)
     layers = np.array([bead.layer for bead in judged.toolpath.beads])
     if not on.any():
-        return np.broadcast_to(t.layer[:, None], (len(t), 2))  # that nothing is laid is another check's
+        return np.broadcast_to(t.layer[:, None], (len(t), 2))  # another check reports that nothing is laid
     return layers[t.bead[np.column_stack([before, after])]]
 
 
 def _home(judged: Judged) -> Check:
-    """The arm starts at home and comes back there; the positioner stands where the first bead wants it, or at its own home."""
+    """The arm starts at home and returns there; the positioner may stand where the first bead wants it instead."""
     return _at_home(judged, "starts and ends at home", [0, len(judged.trajectory) - 1])
 
 
 def _nozzles(judged: Judged) -> Iterator[Check]:
-    """The check that the arm is at home where another nozzle comes into use."""
+    """The check that the arm is at home whenever another nozzle comes into use."""
     if judged.cell.nozzles:
         yield _at_home(judged, "nozzles changed at home", [rows.start for _, rows in judged.stretches[1:]])
 
 
 def _at_home(judged: Judged, name: str, samples: list[int]) -> Check:
-    """The check that the arm is at home at some samples: in degrees, or in mm where a joint that slides is farthest off."""
+    """The check that the arm is at home at some samples: in degrees, or in mm if a sliding joint is farthest off."""
     t, cell, arm = judged.trajectory, judged.cell, len(judged.cell.arm)
     away, turns = np.abs(t.q[samples, :arm] - cell.home[:arm]), cell.limits.turns[:arm]
     turned, slid = (away[:, kind].max(axis=1, initial=0.0) for kind in (turns, ~turns))
@@ -216,7 +216,7 @@ def _at_home(judged: Judged, name: str, samples: list[int]) -> Check:
 
 
 def joint_limits(judged: Judged) -> Findings:
-    """Joint ranges, speed, acceleration and jerk by central differences of the samples."""
+    """Joint ranges, and velocity, acceleration and jerk by central differences of the samples."""
     t, limits = judged.trajectory, judged.cell.limits
     q = np.vstack([t.q[:1], t.q[:1], t.q, t.q[-1:], t.q[-1:]])  # at rest before and after
     margin, room, step = np.empty(len(t)), np.empty(len(t)), np.empty(len(t))
@@ -250,7 +250,7 @@ def joint_limits(judged: Judged) -> Findings:
 
 
 def _geometry(judged: Judged) -> Findings:
-    """Tip on the rounded path, axis on the true normal, rounded path within tolerance of the input, both ways."""
+    """Tip on the rounded path, axis on the true normal, and rounded and input path within tolerance of each other."""
     process, t, motion = judged.problem.process, judged.trajectory, judged.motion
     position, deviation, normals, unreached = _off_the_path(judged)
     cosine = -(normals * motion.axis).sum(axis=1)
@@ -295,8 +295,8 @@ def _off_the_path(judged: Judged) -> tuple[Array, Array, Array, float]:
 
 
 def _to_gravity(judged: Judged, normals: Array) -> Iterator[tuple[Check, Array]]:
-    """The checks of the cones about the vertical that the problem asks for, and what leans beyond them (n) [rad]; normals
-    (n, 3) of the surface."""
+    """The checks of the cones about the vertical that the problem sets, and the lean beyond each cone (n) [rad];
+    normals (n, 3) of the surface."""
     t, motion, cones = judged.trajectory, judged.motion, judged.problem.process.cones
     for name, cosine, cone in (
         ("nozzle to gravity", -(motion.axis * motion.up).sum(axis=1), cones.nozzle_gravity),
@@ -309,7 +309,7 @@ def _to_gravity(judged: Judged, normals: Array) -> Iterator[tuple[Check, Array]]
 
 
 def _coverage(judged: Judged) -> Findings:
-    """Every bead from the first one on is laid down once, in order, from its start to its end, always forwards."""
+    """Every bead from the first one on is laid once, in order, from start to end, never backwards."""
     t, toolpath = judged.trajectory, judged.toolpath
     step = float(judged.commanded.max()) * t.dt * (1.0 + SPEED_TOLERANCE)
     worst, where = 0.0, EVERYWHERE
@@ -344,12 +344,12 @@ def _singularity(judged: Judged) -> Findings:
     series = {"sigma": motion.sigma}
     sides = [np.sign(motion.det)]
     if len(cell.solved) == len(cell.arm) - cell.rails and wrist_straightens(cell):
-        # joint 5 is singular where axes 4 and 6 are parallel; of seven axes and skew wrists, other joints can be
+        # singular where axes 4 and 6 are parallel; seven axes and skew wrists have other singularities
         fifth = t.q[:, 4 + cell.rails]
         if away := straight_at(cell):
             fifth = fifth - away
         sides.append(np.sign(np.sin(fifth)))
-        series["wrist_deg"] = np.degrees(np.arcsin(np.abs(np.sin(fifth))))  # in line at half a turn, too
+        series["wrist_deg"] = np.degrees(np.arcsin(np.abs(np.sin(fifth))))  # parallel at half a turn, too
         metrics["wrist_margin_deg"] = float(series["wrist_deg"][t.deposit].min(initial=90.0))
     sigma = np.where(t.deposit, motion.sigma, np.inf)
     margin = check_least(t, "singularity margin", sigma, judged.problem.resolve.min_sigma, "")
@@ -366,15 +366,15 @@ def _singularity(judged: Judged) -> Findings:
 
 
 def _speed(judged: Judged) -> Findings:
-    """Speed of the tip along the part, from the tip itself; dips are counted, excess fails."""
+    """Speed of the tip along the part, from the tip itself; excess fails, dips only lower the metrics."""
     process, t, motion = judged.problem.process, judged.trajectory, judged.motion
     commanded = np.where(t.deposit, judged.commanded[t.bead], judged.commanded.max())
     step = np.linalg.norm(np.diff(motion.tip, axis=0), axis=1) / t.dt
-    # in a bead along the path, since chords cut sharp corners: that the tip is on the path at s is checked elsewhere
+    # within a bead, along the path, since chords cut sharp corners; whether the tip is on the path is checked elsewhere
     inside = t.deposit[1:] & (t.bead[1:] == t.bead[:-1])
     step = np.where(inside, np.diff(t.s) / t.dt, step)
     for _, rows in judged.stretches[1:]:
-        step[rows.start - 1] = 0.0  # another tip, not another place
+        step[rows.start - 1] = 0.0  # another nozzle's tip, not a motion
     before, after = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
     mean = 0.5 * (before + after)
     limit = commanded * (1.0 + SPEED_TOLERANCE)
@@ -382,7 +382,7 @@ def _speed(judged: Judged) -> Findings:
     differ = _of_four(np.maximum, before, after) - _of_four(np.minimum, before, after)
     claim = np.where(t.deposit, np.abs(t.speed - mean) - differ, np.abs(t.speed - _own_speed(judged)))
     travel = np.where(t.deposit, 0.0, mean)
-    slow = np.minimum(mean, t.speed)[t.deposit]  # the mean alone would smooth the bottom of a short dip away
+    slow = np.minimum(mean, t.speed)[t.deposit]  # the mean alone would smooth away the bottom of a short dip
     at_speed = t.deposit & (mean >= commanded * (1.0 - SPEED_TOLERANCE)) & (mean <= limit)
     deposited = mean[t.deposit].sum()
     fastest = _fastest(judged, fast, limit)
@@ -406,7 +406,7 @@ def _speed(judged: Judged) -> Findings:
 
 
 def _of_four(extreme: np.ufunc, before: Array, after: Array) -> Array:
-    """The greatest or least (n) of the speeds before and after each sample, and of those before and after these."""
+    """The greatest or least (n) of the speeds of the two steps before and the two after each sample."""
     out = np.asarray(extreme(before, after))
     extreme(out[1:], before[:-1], out=out[1:])
     extreme(out[:-1], after[1:], out=out[:-1])
@@ -428,7 +428,7 @@ def _own_speed(judged: Judged) -> Array:
 
 
 def _fastest(judged: Judged, fast: Array, limit: Array) -> Check:
-    """The check that the tip (n) [m/s] keeps to its limit (n), at the sample that exceeds it most or comes nearest to it."""
+    """The check that the tip's speed (n) [m/s] keeps to its limit (n), at the sample with the greatest share of it."""
     i = int(np.argmax(fast / limit))
     worst, most = float(fast[i]) * 1e3, float(limit[i]) * 1e3
     return Check(
@@ -443,9 +443,9 @@ def _fastest(judged: Judged, fast: Array, limit: Array) -> Check:
 
 
 def _tip_outside(judged: Judged) -> Findings:
-    """The nozzle tip stays outside the part, as far as it is printed.
+    """The nozzle tip stays outside the part, as printed so far.
 
-    Of the bead that is being laid only what lies on nothing else counts: it may be its own next layer.
+    Of the bead being laid, only the stretch that lies on nothing else counts: the bead may be its own next layer.
     """
     t = judged.trajectory
     begun = np.where(t.deposit, t.bead, t.begun + 1)
@@ -459,12 +459,12 @@ def _tip_outside(judged: Judged) -> Findings:
 
 
 def _blocks(n: int) -> Iterator[slice]:
-    """Samples in blocks, which bounds the memory."""
+    """Samples in blocks, to bound the memory."""
     return (slice(start, min(start + BLOCK, n)) for start in range(0, n, BLOCK))
 
 
 def _worst(values: Array) -> Array:
-    """The greatest of each row (n) of a few columns, which numpy finds column by column in a tenth of the time."""
+    """The greatest value of each row (n) of a few columns; column by column, numpy takes a tenth of the time."""
     return np.asarray(reduce(np.maximum, values.T))
 
 
@@ -482,6 +482,6 @@ def rotations(quat: Array) -> Array:
 
 
 def _denser(s: Array) -> Array:
-    """Arc lengths four times as dense, so that the chords between samples do not count as deviation."""
+    """Arc lengths four times as dense, so that chords between them hardly count as deviation."""
     k = np.arange(len(s), dtype=float)
     return np.interp(np.linspace(0.0, k[-1], 4 * len(k)), k, s)

@@ -1,1 +1,1 @@
-"""The live view: a problem's report in the browser, solved anew whenever its files are saved."""
+"""The live view: a problem's report in the browser, solved again whenever its files are saved."""

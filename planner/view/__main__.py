@@ -1,4 +1,4 @@
-"""The live view: a report in the browser, solved anew whenever its files are saved."""
+"""The live view: a report in the browser, solved again whenever its files are saved."""
 
 from planner.base.launch import end, launch
 

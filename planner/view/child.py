@@ -1,8 +1,8 @@
-"""The process that solves for the live view: jobs as lines of JSON on stdin, what happens as lines of JSON on stdout.
+"""The process that solves for the live view: jobs as lines of JSON on stdin, progress as lines of JSON on stdout.
 
-It is started before there is anything to solve, since importing takes longer than a small solve, and stays: the next draft
-or small print finds its kernels loaded. A large print is solved by a copy of this process, which can be cancelled alone.
-When stdin closes, the view has ended: so does this process, with all that it started.
+It is started before there is anything to solve, since importing takes longer than a small solve, and stays alive: the
+next draft or small print finds its kernels loaded. A large print is solved by a copy of this process, which can be
+cancelled by itself. When stdin closes, the view has ended; this process then ends too, with all that it started.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from planner.toolpath.build import build_toolpath
 from planner.view.content import mistake_of
 from planner.view.machine import figures_of
 
-LARGE = 3_000  # waypoints from which a print has a draft of one layer first: below, the whole takes but some seconds
-# Read past sys.stdin: a thread that waits in it holds its lock, and a forked worker, which closes it, would wait for ever.
+LARGE = 3_000  # waypoints: prints from this size have a draft of one layer first; smaller ones take only seconds
+# Read past sys.stdin: a thread waiting in it holds its lock, and a forked worker, which closes it, would wait forever.
 STDIN, LONGEST_PIECE = 0, 4096
-BEHIND = 10  # of priorities that the whole print is solved with, after its draft
-FORKS = sys.platform == "linux"  # elsewhere a process with threads is not safely copied
+BEHIND = 10  # niceness added for the whole print after its draft
+FORKS = sys.platform == "linux"  # elsewhere a process with threads cannot be copied safely
 Say = Callable[..., None]
 Job = dict[str, Any]
 
 
 def main() -> int:
-    """Do one job after the other, and tell."""
+    """Do one job after the other, and report on each."""
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever a library prints is no message
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # output of libraries must not appear among the messages
     jobs: SimpleQueue[Job] = SimpleQueue()
     forked = ForkedSolve()
     threading.Thread(target=_listen, args=(jobs, forked), daemon=True).start()
@@ -70,9 +70,9 @@ class ForkedSolve:
         self._ended = False
 
     def do(self, begun: Callable[[], None], work: Callable[[], None]) -> bool:
-        """Call `begun` here and `work` in a copy, and wait for it; False where it ended by itself, its work undone."""
+        """Call `begun` here and `work` in a copy, and wait for it; False if it ended by itself with its work undone."""
         process = multiprocessing.get_context("fork").Process(target=_copied, args=(os.getpid(), work))
-        with self._lock:  # so that whoever has been told that it is begun can end it
+        with self._lock:  # so that it can be ended as soon as `begun` has announced it
             begun()
             process.start()
             self._process, self._ended = process, False
@@ -100,11 +100,11 @@ def _copied(parent: int, work: Callable[[], None]) -> None:
 def run(job: Job, say: Say, forked: ForkedSolve) -> bool:
     """Solve one job: {number, problem, overrides, strategy, drafts, folder}; reports go into folder/draft and folder/whole.
 
-    False where a copy of this process ended before it was done.
+    False if a copy of this process ended before it was done.
     """
     try:
         problem, folder = load_problem(job["problem"], job["overrides"]), Path(job["folder"])
-        layers = getattr(problem.layers, "count", 1) or build_toolpath(problem).layers  # None: all that there are
+        layers = getattr(problem.layers, "count", 1) or build_toolpath(problem).layers  # None: all layers
         first = _first_layer(job) if layers > 1 else None
         large = (_waypoints(problem) if first is None else first[1] * layers) >= LARGE
     except PlannerError as error:
@@ -114,7 +114,7 @@ def run(job: Job, say: Say, forked: ForkedSolve) -> bool:
     if first is not None and drafted:
         with suppress(
             PlannerError
-        ):  # of a layer that cannot be laid alone; what is wrong with all of them is told below
+        ):  # one layer may not be printable alone; errors of the whole print are reported below
             _solve(first[0], job["strategy"], folder / "draft", f"one layer of {layers}", say)
     whole = partial(_whole, problem, job["strategy"], folder / "whole", say)
     if large and FORKS:
@@ -124,7 +124,7 @@ def run(job: Job, say: Say, forked: ForkedSolve) -> bool:
 
 
 def _first_layer(job: Job) -> tuple[Problem, int] | None:
-    """The problem with its first layer alone, and its waypoints; None where that is none."""
+    """The problem with only its first layer, and its waypoints; None if that is not a valid problem."""
     try:
         first = load_problem(job["problem"], [*job["overrides"], "layers.count=1"])
         return first, _waypoints(first)
@@ -137,7 +137,7 @@ def _waypoints(problem: Problem) -> int:
 
 
 def _whole(problem: Problem, strategy: str, folder: Path, say: Say, behind: int) -> None:
-    """Solve the whole print, some priorities behind: the browser draws the draft meanwhile."""
+    """Solve the whole print at a lower priority: meanwhile the browser draws the draft."""
     os.nice(behind)
     try:
         _solve(problem, strategy, folder, "", say)
@@ -166,14 +166,14 @@ def _solve(problem: Problem, strategy: str, folder: Path, draft: str, say: Say) 
 
 
 def _listen(jobs: SimpleQueue[Job], forked: ForkedSolve) -> None:
-    """Take orders: a job, or to cancel the one that a copy of this process does."""
+    """Take orders: a job, or cancelling the one done by a copy of this process."""
     for line in _lines():
         order = json.loads(line)
         if "cancel" in order:
             forked.end()
         else:
             jobs.put(order)
-    os.killpg(os.getpgid(0), signal.SIGKILL)  # the session that was made for this process, workers included
+    os.killpg(os.getpgid(0), signal.SIGKILL)  # the session created for this process, including workers
 
 
 def _lines() -> Iterator[bytes]:

@@ -1,4 +1,4 @@
-"""The command line of the live view, and what carries out what its state machine wants."""
+"""The command line of the live view, and the runner that carries out the effects of its state machine."""
 
 from __future__ import annotations
 
@@ -48,19 +48,19 @@ from planner.view.server import snapshot, view_site
 from planner.view.solver import Solver
 
 # ----------------------------------------------------------------------------------------------------
-# A folder of results that is written elsewhere: what its plan.json says.
+# A folder of results written elsewhere: the content of its plan.json.
 
 LARGEST_PLAN = 50_000_000  # bytes of plan.json; the logo's ten layers have 1 MB
 WATCHED = ("plan.json", "report.html")
 
 
 def read_results(folder: Path) -> tuple[str, str, SolveOutcome, Content]:
-    """Problem, strategy, what came of it, and the settings that it was made with. Raises InputError where it is none."""
+    """Problem, strategy, outcome and settings of a folder of results. Raises InputError if it is not one."""
     if not folder.is_dir():
-        raise InputError("is gone", file=folder, hint="the view goes on as soon as it is there again")
+        raise InputError("is gone", file=folder, hint="the view resumes as soon as it is back")
     for name in reversed(WATCHED):
         if not (folder / name).is_file():
-            raise InputError(f"has no {name}", file=folder, hint="the view goes on as soon as results are there")
+            raise InputError(f"has no {name}", file=folder, hint="the view resumes as soon as there are results")
     path = folder / "plan.json"
     try:
         with path.open("rb") as stream:
@@ -71,7 +71,7 @@ def read_results(folder: Path) -> tuple[str, str, SolveOutcome, Content]:
     except (ValueError, RecursionError) as error:
         raise InputError("is not JSON", file=path, hint="it is written by planner.solve") from error
     if len(raw) > LARGEST_PLAN or not isinstance(plan, dict):
-        raise InputError("is no plan", file=path, hint="it is written by planner.solve")
+        raise InputError("is not a plan", file=path, hint="it is written by planner.solve")
     problem, strategy = (_text(plan, name, path) for name in ("problem", "strategy"))
     settings = Content(tuple(flattened({"strategy": strategy, **_section(plan, "settings")})))
     return problem, strategy, _outcome(plan), settings
@@ -98,12 +98,12 @@ def _section(plan: dict[str, Any], name: str) -> dict[str, Any]:
 def _text(plan: dict[str, Any], name: str, path: Path) -> str:
     value = plan.get(name)
     if not isinstance(value, str):
-        raise InputError("is missing, or no text", file=path, field=name, hint="it is written by planner.solve")
+        raise InputError("is missing, or not text", file=path, field=name, hint="it is written by planner.solve")
     return value[:80]
 
 
 # ----------------------------------------------------------------------------------------------------
-# Carries out what the view's state machine wants: reads and watches files, starts solves, serves the page.
+# Carries out the effects of the view's state machine: reads and watches files, starts solves, serves the page.
 
 LOOK_TIME = 0.1  # s between looks at the files
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -111,7 +111,7 @@ SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 
 @dataclass(frozen=True)
 class Subject:
-    """What is looked at: a problem file with its overrides, or a folder of results (`folder`), and its name."""
+    """What is viewed: a problem file with its overrides, or a folder of results (`folder`), and its name."""
 
     path: Path
     name: str
@@ -122,9 +122,9 @@ class Subject:
 async def run_view(
     subject: Subject, view: View, port: int, ready: Callable[[Server], None], over: asyncio.Event | None = None
 ) -> int:
-    """Serve the view until a signal comes, whose number is returned, or `over` is set (0).
+    """Serve the view until a signal arrives (returns its number), or `over` is set (returns 0).
 
-    ready  is told as soon as somebody can look at it. Raises InputError where the port is taken.
+    ready  is called as soon as the page can be opened. Raises InputError if the port is taken.
     """
     over = over or asyncio.Event()
     came = deque((0,), maxlen=1)
@@ -145,7 +145,7 @@ async def run_view(
             ready(server)
             await asyncio.wait({watching, asyncio.create_task(over.wait())}, return_when=asyncio.FIRST_COMPLETED)
             if watching.done():
-                watching.result()  # raises what ended it
+                watching.result()  # raises the error that ended it
         finally:
             watching.cancel()
             await runner.close()
@@ -175,7 +175,7 @@ class _Runner:
         return self._place(key) / "report.html"
 
     def take(self, event: Event) -> None:
-        """Something happened."""
+        """Take an event: update the view and carry out its effects."""
         before = self._view
         self._view, effects = step(before, event)
         for effect in effects:
@@ -184,13 +184,13 @@ class _Runner:
             self._tell()
 
     async def watch(self) -> None:
-        """Look at the files, for ever; they have not been read when this begins."""
+        """Watch the files forever; they have not been read when this begins."""
         self.take(Touched(time.monotonic()))
         seen = await asyncio.to_thread(signatures, self._watched())
         while True:
             await asyncio.sleep(LOOK_TIME)
             if self._reading is not None and self._reading.done():
-                self._reading.result()  # raises what went wrong in it
+                self._reading.result()  # raises its error, if any
             self._solver.check()
             now = await asyncio.to_thread(signatures, self._watched())
             if any(path in seen and seen[path] != how for path, how in now.items()):
@@ -199,7 +199,7 @@ class _Runner:
             self.take(Tick(time.monotonic()))
 
     async def close(self) -> None:
-        """End what runs."""
+        """End everything that runs."""
         if self._reading is not None:
             self._reading.cancel()
             with suppress(asyncio.CancelledError):
@@ -244,14 +244,14 @@ class _Runner:
 
 
 def subject_of(path: Path, folder: bool, overrides: Sequence[str]) -> Subject:
-    """What is looked at, with the name that the page shows."""
+    """The subject of the view, with the name that the page shows."""
     return Subject(path, path.resolve().name if folder else path.stem, folder, tuple(overrides))
 
 
 # ----------------------------------------------------------------------------------------------------
 # The command line of the live view.
 
-USUAL_STRATEGY = "sqp"  # while the file that would say so cannot be read
+USUAL_STRATEGY = "sqp"  # as long as the file that would name one cannot be read
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -271,7 +271,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _subject(given: str, overrides: Sequence[str]) -> Subject:
-    """A folder of results where a folder is meant, else a problem. Raises InputError where there is neither."""
+    """A folder of results if a folder is given, else a problem. Raises InputError if it is neither."""
     path = Path(given)
     named = os.sep not in given and path.name in shipped_problems()
     if not path.is_dir() or named:
@@ -286,7 +286,7 @@ def _subject(given: str, overrides: Sequence[str]) -> Subject:
 
 
 def _panes(subject: Subject, options: argparse.Namespace) -> tuple[str, ...]:
-    """The strategies to begin with. Raises InputError for what is wrong with an override."""
+    """The strategies to begin with. Raises InputError for mistakes in an override."""
     first = options.strategy
     if subject.folder:
         return (first or USUAL_STRATEGY,)
@@ -295,7 +295,7 @@ def _panes(subject: Subject, options: argparse.Namespace) -> tuple[str, ...]:
     except InputError as error:
         if error.field is not None and error.field.startswith("--set"):
             raise
-        own = USUAL_STRATEGY  # the page shows what is wrong, and the view goes on when it is mended
+        own = USUAL_STRATEGY  # the page shows the mistake, and the view continues once it is fixed
     panes = (first or own, options.beside)
     return tuple(dict.fromkeys(strategy for strategy in panes if strategy is not None))
 

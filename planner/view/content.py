@@ -1,4 +1,4 @@
-"""What a problem says at one time: its fields, the files that it names, and what changed between two saves."""
+"""The content of a problem at one time: its fields, the files that it names, and what changed between two saves."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from planner.cell.robot_file import read_robot_file
 from planner.problem import Problem, load_problem
 from planner.problem.yaml_file import read_problem_file, shorten
 
-LONGEST_TEXT = 60  # characters of a value that are shown
-MOST_MISTAKES = 20  # that are shown below the first
+LONGEST_TEXT = 60  # characters of a value shown
+MOST_MISTAKES = 20  # shown below the first
 MISSING = "missing"
 Signature = tuple[int, int, int]  # time of the last change [ns], size [bytes], inode: editors save by renaming
 
 
 @dataclass(frozen=True)
 class Content:
-    """What decides a plan, at one time.
+    """Everything that determines a plan, at one time.
 
     fields  (dotted key, value as text), in the order of the file
-    files   (path, digest of the content) of what it names
+    files   (path, digest of the content) of the files that it names
     """
 
     fields: tuple[tuple[str, str], ...]
@@ -36,8 +36,7 @@ class Content:
 
 @dataclass(frozen=True)
 class Mistake:
-    """Why there is nothing to solve, and where; `excerpt` is the line of the file as it stands, `more` what is wrong
-    besides."""
+    """Why there is nothing to solve, and where; `excerpt`: that line of the file, `more`: further mistakes."""
 
     text: str
     file: str = ""
@@ -81,17 +80,17 @@ def _excerpt(file: str, line: int | None) -> str:
 
 
 def read_content(path: Path, overrides: Sequence[str]) -> tuple[Content, tuple[Path, ...]]:
-    """What a problem file says, and the files that it names. Raises InputError for whatever is wrong with it."""
+    """The content of a problem file, and the files that it names. Raises InputError for whatever is wrong with it."""
     if not path.is_file():
-        reason = "is gone" if path.parent.is_dir() else "is gone, and its folder with it"
-        raise InputError(reason, file=path, hint="the view goes on as soon as it is there again")
+        reason = "is gone" if path.parent.is_dir() else "is gone, and so is its folder"
+        raise InputError(reason, file=path, hint="the view resumes as soon as it is back")
     data, _ = read_problem_file(path)
     named = tuple(dict.fromkeys(_with_urdf(load_problem(path, overrides))))
     return Content(tuple(flattened(data)), tuple((str(file), _digest(file)) for file in named)), named
 
 
 def signatures(paths: Iterable[Path]) -> dict[Path, Signature | None]:
-    """How each file stands; None where there is none, or none that can be looked at."""
+    """Signature of each file; None if there is none, or if it cannot be examined."""
     found: dict[Path, Signature | None] = {}
     for path in paths:
         try:
@@ -104,7 +103,7 @@ def signatures(paths: Iterable[Path]) -> dict[Path, Signature | None]:
 
 
 def changes(before: Content, after: Content) -> tuple[str, ...]:
-    """What is different, each in words: `process.speed_mm_s: 5 → 10`."""
+    """The differences, each in words: `process.speed_mm_s: 5 → 10`."""
     old, new = dict(before.fields), dict(after.fields)
     said = [
         f"{key}: {_short(old[key])} → {_short(new[key])}" if key in old else f"{key}: {_short(new[key])} added"
@@ -118,7 +117,7 @@ def changes(before: Content, after: Content) -> tuple[str, ...]:
 
 
 def flattened(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """(dotted key, text) of everything in nested mappings; a list of plain values is one text."""
+    """(dotted key, text) of everything in nested mappings; a list of plain values becomes one text."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
             yield from flattened(inner, f"{prefix}.{key}" if prefix else str(key))
@@ -144,7 +143,7 @@ def _short(text: str) -> str:
 
 
 def _with_urdf(problem: Problem) -> Iterator[Path]:
-    """Files that a problem names, and those that the user's own robots name in turn."""
+    """Files that a problem names, and those named in the files of the user's own robots."""
     yield from _paths(problem)
     others = [spec.robot for spec in (problem.cell.carrier, problem.cell.positioner) if spec is not None]
     for robot in (problem.cell.arm, *others):
@@ -152,7 +151,7 @@ def _with_urdf(problem: Problem) -> Iterator[Path]:
             try:
                 urdf = read_robot_file(robot).data.get("urdf")
             except InputError:
-                continue  # the solver says so, by its line
+                continue  # the solver reports it, with its line
             if isinstance(urdf, str):
                 yield robot.parent / urdf
 
@@ -176,4 +175,4 @@ def _digest(path: Path) -> str:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError:
-        return MISSING  # the solver says so, by the field that names it
+        return MISSING  # the solver reports it, with the field that names it

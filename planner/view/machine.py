@@ -1,4 +1,4 @@
-"""The live view without files, clocks, processes or sockets: what happened goes in, what is to be done comes out."""
+"""The live view without files, clocks, processes or sockets: events go in, effects to be carried out come out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from planner.report.wording import METRICS, MetricLabel
 from planner.view.content import Content, Mistake, changes
 
 # ----------------------------------------------------------------------------------------------------
-# Key figures of a plan: those that decide between two, and which of two is the better one.
+# Key figures of a plan: those that decide between two plans, and which of two values is better.
 
 SHOWN = (
     "at_speed_fraction",
@@ -29,32 +29,32 @@ SHOWN = (
 ROWS: tuple[MetricLabel, ...] = tuple(metric for key in SHOWN for metric in METRICS if metric.key == key)
 NONE = "–"
 
-Figures = tuple[tuple[str, float], ...]  # (name of the metric, value), of those in SHOWN that a plan has
+Figures = tuple[tuple[str, float], ...]  # (name of the metric, value) for those in SHOWN that a plan has
 
 
 def figures_of(metrics: Mapping[str, float]) -> Figures:
-    """Those of a plan's metrics that are shown; no value that is no number."""
+    """Those of a plan's metrics that are shown, if finite."""
     return tuple((row.key, float(metrics[row.key])) for row in ROWS if math.isfinite(metrics.get(row.key, math.nan)))
 
 
 def heading(row: MetricLabel) -> dict[str, str]:
-    """What a figure is called, with its unit."""
+    """A figure's label, with its unit."""
     unit = f", {row.unit}" if row.unit else ""
     return {"label": row.label + unit}
 
 
 def rounded(row: MetricLabel, value: float) -> float:
-    """A figure in its unit, as it is shown."""
+    """A figure in its unit, rounded as shown."""
     return round(value * row.scale, row.digits)
 
 
 def written(row: MetricLabel, value: float | None) -> str:
-    """A figure in its unit's digits."""
+    """A figure as text, with its number of digits."""
     return NONE if value is None else f"{value * row.scale:.{row.digits}f}"
 
 
 def verdict(row: MetricLabel, value: float | None, other: float | None) -> str:
-    """How a value compares with another: "better", "worse", "same" to the digits shown, or "" where that says nothing."""
+    """How a value compares with another: "better", "worse", "same" to the digits shown; "" if neither is better."""
     if value is None or other is None:
         return ""
     if rounded(row, value) == rounded(row, other):
@@ -65,7 +65,7 @@ def verdict(row: MetricLabel, value: float | None, other: float | None) -> str:
 
 
 def difference(row: MetricLabel, value: float | None, other: float | None) -> str:
-    """How much a value lies above another, with its sign, as both are shown."""
+    """The signed difference of a value from another, both rounded as shown."""
     if value is None or other is None:
         return NONE
     if rounded(row, value) == rounded(row, other):
@@ -74,16 +74,16 @@ def difference(row: MetricLabel, value: float | None, other: float | None) -> st
 
 
 # ----------------------------------------------------------------------------------------------------
-# What the live view knows at one time.
+# The state of the live view.
 
 
 @dataclass(frozen=True)
 class SolveOutcome:
-    """What came of a solve.
+    """The outcome of a solve.
 
     kind   "verified", "failed" (a plan with failed checks) or "refused" (no plan)
     words  one line for people
-    draft  what of the print was left out, in words; empty for all of it
+    draft  what part of the print a draft covers, in words; empty for the whole print
     """
 
     kind: str
@@ -94,7 +94,7 @@ class SolveOutcome:
 
 @dataclass(frozen=True)
 class Result:
-    """A report that can be shown; `turn` tells which content of the files it is of."""
+    """A report that can be shown; `turn` is the number of the content of the files that it belongs to."""
 
     key: str
     turn: int
@@ -104,7 +104,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of the history: what was changed since the strategy's last row (None: there is none), and what came of it."""
+    """A row of the history: the changes since the strategy's last row (None: there is none), and the outcome."""
 
     number: int
     at: str
@@ -116,7 +116,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class SolveJob:
-    """A solve that runs: its number, what it plans with, and how far it is."""
+    """A running solve: its number, its strategy, and its progress."""
 
     number: int
     strategy: str
@@ -127,15 +127,15 @@ class SolveJob:
 
 @dataclass(frozen=True)
 class View:
-    """All that the view knows.
+    """The whole state of the view.
 
     panes     the strategy of each pane, left to right
-    solving   whether this view solves, or only shows what is written elsewhere
-    tried     strategies that need no solve of the present content (any more)
-    mistake   of the files as they stand; `trouble` of the solver with files that could be read
+    solving   whether this view solves, or only shows results written elsewhere
+    tried     strategies that need no (further) solve of the present content
+    mistake   in the files as they are; `trouble`: of the solver with files that could be read
     results   the newest by strategy
-    solved    what the files said at each strategy's last row of the history
-    touched   when the first change came that has not been read [s], and when to read it
+    solved    content of the files at each strategy's last row of the history
+    touched   time of the first change not read yet [s], and when to read it
     """
 
     panes: tuple[str, ...]
@@ -158,17 +158,17 @@ class View:
 
 
 def key_of(job: int, draft: str) -> str:
-    """The name of a report: of a solve's draft, or of all."""
+    """The name of a report: of a solve's draft, or of the whole print."""
     return f"{job}-{'draft' if draft else 'whole'}"
 
 
 # ----------------------------------------------------------------------------------------------------
-# What can happen to the live view, and what it then wants done.
+# Events of the live view, and the effects that it then requests.
 
 
 @dataclass(frozen=True)
 class Touched:
-    """A file that counts has changed, come or gone, at a time [s] of a steady clock."""
+    """A watched file has changed, appeared or gone, at a time [s] of a monotonic clock."""
 
     now: float
 
@@ -182,7 +182,7 @@ class Tick:
 
 @dataclass(frozen=True)
 class Read:
-    """The files were read, at a time of the day: what they say, or what is wrong with them."""
+    """The files were read, at a time of day: their content, or the mistake in them."""
 
     found: Content | Mistake
     at: str
@@ -190,7 +190,7 @@ class Read:
 
 @dataclass(frozen=True)
 class Shown:
-    """A folder of results was read: what it holds, of which strategy, and the settings that it was made with."""
+    """A folder of results was read: its strategy, its outcome, and its settings."""
 
     strategy: str
     outcome: SolveOutcome
@@ -200,7 +200,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Staged:
-    """A solve has come to a stage; of a draft, if that is not empty."""
+    """A solve has reached a stage; that of a draft, if `draft` is not empty."""
 
     job: int
     stage: str
@@ -209,7 +209,7 @@ class Staged:
 
 @dataclass(frozen=True)
 class ReportReady:
-    """A solve has a report, of a draft or of all."""
+    """A solve has a report, of a draft or of the whole print."""
 
     job: int
     outcome: SolveOutcome
@@ -248,7 +248,7 @@ class Drafts:
 
 @dataclass(frozen=True)
 class Again:
-    """The user wants all panes solved anew."""
+    """The user wants all panes solved again."""
 
 
 Event = Touched | Tick | Read | Shown | Staged | ReportReady | Broke | Choose | Beside | Drafts | Again
@@ -256,24 +256,24 @@ Event = Touched | Tick | Read | Shown | Staged | ReportReady | Broke | Choose | 
 
 @dataclass(frozen=True)
 class ReadFiles:
-    """The files are to be read; a Read or Shown follows."""
+    """Read the files; a Read or Shown follows."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """A solve is to be started."""
+    """Start a solve."""
 
     job: SolveJob
 
 
 @dataclass(frozen=True)
 class Cancel:
-    """The solve that runs is to be ended; nothing more that it says counts."""
+    """End the running solve; further messages from it are ignored."""
 
 
 @dataclass(frozen=True)
 class Remove:
-    """A report that nobody will see again."""
+    """Remove a report that will not be shown again."""
 
     key: str
 
@@ -282,21 +282,21 @@ Effect = ReadFiles | Start | Cancel | Remove
 
 
 # ----------------------------------------------------------------------------------------------------
-# The live view without files, clocks, processes or sockets: what happened goes in, what is to be done comes out.
+# The live view without files, clocks, processes or sockets: events go in, effects to be carried out come out.
 #
-# A burst of saves is one reading of the files, and one solve: they are read when they have been quiet for a moment. A
-# save that says nothing new changes nothing; one that does ends the solve that runs. What cannot be read, or planned,
-# leaves the last good results where they are.
+# A burst of saves causes one reading of the files, and one solve: they are read when they have been quiet for a moment.
+# A save without new content changes nothing; one with new content ends the running solve. Files that cannot be read or
+# planned leave the last good results in place.
 
 QUIET_TIME = 0.15  # s without another change before files are read: editors write in several steps
-LONGEST_WAIT = 2.0  # s after which a file that never rests is read all the same
+LONGEST_WAIT = 2.0  # s after which a file that keeps changing is read anyway
 MOST_ENTRIES = 50  # of the history
 
 Step = tuple[View, tuple[Effect, ...]]
 
 
 def step(view: View, event: Event) -> Step:
-    """What the view is after an event, and what is to be done about it, in order."""
+    """The view after an event, and the effects to be carried out, in order."""
     match event:
         case Touched(now):
             first = now if view.touched is None else view.touched[0]
@@ -338,7 +338,7 @@ def _read(view: View, found: Content | Mistake, at: str) -> Step:
 
 
 def _following(view: View, content: Content) -> tuple[str, ...]:
-    """The panes, the first one with the strategy that the file names, if it named another one before."""
+    """The panes; the first one takes the strategy that the file names, if it named another before."""
     wanted = dict(content.fields).get("strategy")
     if view.content is None or wanted is None or wanted == dict(view.content.fields).get("strategy"):
         return view.panes
@@ -346,7 +346,7 @@ def _following(view: View, content: Content) -> tuple[str, ...]:
 
 
 def _anew(view: View) -> Step:
-    """Solve all panes again; results of strategies that no pane shows are of the past then."""
+    """Solve all panes again; results of strategies that no pane shows are dropped."""
     if view.content is None or not view.solving:
         return view, ()
     past = [result for name, result in view.results.items() if name not in view.panes]
@@ -357,7 +357,7 @@ def _anew(view: View) -> Step:
 
 
 def _go_on(view: View) -> Step:
-    """Start the next solve that a pane waits for, if none runs and the files can be read."""
+    """Start the next solve that a pane is waiting for, if none is running and the files can be read."""
     due = next((strategy for strategy in view.panes if strategy not in view.tried), None)
     ready = view.solving and view.running is None and view.content is not None and view.mistake is None
     if not ready or due is None:
@@ -400,7 +400,7 @@ def _noted(view: View, strategy: str, outcome: SolveOutcome, content: Content, a
 def _broke(view: View, number: int, mistake: Mistake) -> Step:
     if view.running is None or view.running.number != number:
         return view, ()
-    # what is wrong with a file is wrong for every strategy; anything else may be this one's own trouble
+    # a mistake in a file affects every strategy; anything else may concern only this one
     over = frozenset(view.panes) if mistake.file or mistake.field else frozenset({view.running.strategy})
     return _go_on(replace(view, running=None, trouble=mistake, tried=view.tried | over))
 
@@ -414,7 +414,7 @@ def _shown(view: View, event: Shown) -> Step:
 
 
 def _exchanged(panes: tuple[str, ...], pane: int, strategy: str) -> tuple[str, ...]:
-    """Panes with a strategy put into one; a strategy that another shows changes places with it."""
+    """The panes with a strategy put into one of them; if another pane shows that strategy, the two swap."""
     if not 0 <= pane < len(panes):
         return panes
     old = panes[pane]

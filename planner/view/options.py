@@ -1,4 +1,4 @@
-"""The parser of `python -m planner.view`, without the packages that serve a page."""
+"""The parser of `python -m planner.view`; importing it does not load the packages that serve a page."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ def view_command() -> Command:
     """The parser of `python -m planner.view`."""
     parser = Command(
         "view",
-        "Show a problem's report in the browser, and solve it anew whenever its files are saved. Nothing is written: "
+        "Show a problem's report in the browser, and solve it again whenever its files are saved. Nothing is written: "
         "planner.solve does that.",
         {
             "my_part.yaml": "solve, show, and solve again on every save",
             "my_part.yaml --strategy ladder --beside as_published": "two strategies side by side",
             "my_part.yaml --set layers.count=1": "with a field changed",
-            "out/my_part": "show what planner.solve writes there, whenever it does",
+            "out/my_part": "show what planner.solve writes there, as it is written",
         },
-        {0: "ended otherwise than by Ctrl-C", 2: "wrong input, or a port that is taken", 130: "ended by Ctrl-C"},
+        {0: "ended other than by Ctrl-C", 2: "wrong input, or a port that is taken", 130: "ended by Ctrl-C"},
     )
     parser.add_argument(
         "subject",
@@ -33,7 +33,7 @@ def view_command() -> Command:
     )
     add_set(parser)
     parser.add_argument(
-        "--no-drafts", dest="drafts", action="store_false", help="no draft of one layer first where a print is large"
+        "--no-drafts", dest="drafts", action="store_false", help="do not draft one layer first when a print is large"
     )
     add_page_options(parser, "--port")
     return parser

@@ -145,7 +145,7 @@
     }
     parts.push(...mistake.more.map((text) => element("p", { textContent: text })));
     if (state.panes.some((pane) => pane.result)) {
-      parts.push(element("p", { className: "soft", textContent: "Below is the last result; it stays until this is mended." }));
+      parts.push(element("p", { className: "soft", textContent: "Below is the last result; it stays until this is fixed." }));
     }
     const text = parts.map((part) => part.textContent).join("\n");
     if (box.textContent.length && box.dataset.text === text) return; // said once is enough for a screen reader

@@ -1,4 +1,4 @@
-"""What the page of the view is told, the reports that it shows, and what it may ask for."""
+"""The data sent to the view's page, the reports that it shows, and the orders that it may send."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from planner.view.machine import (
 )
 
 # ----------------------------------------------------------------------------------------------------
-# What the page is told of the view: one value, whole, whenever something changed.
+# The state sent to the page: the whole of it, whenever something changes.
 
 _SHOWN = ("start", *STAGES, "baseline", "report")
 
@@ -82,7 +82,7 @@ def _result(view: View, result: Result | None) -> dict[str, Any] | None:
 
 
 def differences(view: View) -> list[dict[str, str]]:
-    """Key figures of two panes side by side; none where there are not two whole plans of the same files."""
+    """Key figures of two panes side by side; none unless both have whole plans of the same files."""
     if len(view.panes) < 2:
         return []
     pair = [view.results.get(strategy) for strategy in view.panes]
@@ -145,11 +145,11 @@ def _row(view: View, entry: Entry) -> dict[str, Any]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Its site: the page, the reports in it, and what the user asks for.
+# The view's site: the page, the reports in it, and the user's orders.
 
-LARGEST_REPORT = 100_000_000  # bytes; a report has 15 MB at most
-SENDING_TIME = 120.0  # s for an answer; a report goes through a slow tunnel meanwhile
-# A report from elsewhere must not steer the view: it has no origin, and reaches no address.
+LARGEST_REPORT = 100_000_000  # bytes; reports have at most 15 MB
+SENDING_TIME = 120.0  # s for an answer: enough for a report through a slow tunnel
+# A report from elsewhere must not control the view: it gets no origin, and can reach no address.
 REPORT_POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; "
     "style-src 'unsafe-inline'; img-src data: blob:; font-src data:; worker-src blob:; frame-ancestors 'self'"
@@ -159,7 +159,7 @@ REPORT_POLICY = (
 def view_site(news: News, report: Callable[[str], Path | None], take: Callable[[Event], None]) -> PageSite:
     """The view's site.
 
-    report  key of a result → file of its report; take: gets what the user asks for
+    report  key of a result → file of its report; take: receives the user's orders as events
     """
 
     def taken(body: bytes) -> int:
@@ -189,12 +189,12 @@ def _bytes_of(path: Path) -> bytes | None:
         with path.open("rb") as stream:
             data = stream.read(LARGEST_REPORT + 1)
     except OSError:
-        return None  # removed meanwhile, for a newer one
+        return None  # removed in the meantime, replaced by a newer one
     return data if len(data) <= LARGEST_REPORT else None
 
 
 def order_of(body: bytes) -> Event | None:
-    """What the page asks for; None where it is nothing that can be asked for."""
+    """The event for an order from the page; None if it is not a valid order."""
     try:
         order = json.loads(body)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Processes that solve: one at a time, and one that waits; what they say becomes events."""
+"""Processes that solve: one working at a time, and one waiting; their messages become events."""
 
 from __future__ import annotations
 
@@ -17,48 +17,48 @@ from typing import Any
 from planner.view.content import Mistake
 from planner.view.machine import Broke, Event, ReportReady, SolveJob, SolveOutcome, Staged
 
-SPARE_TIME = 10.0  # s after a solve at which another process gets ready: until then the browser draws
+SPARE_TIME = 10.0  # s after a solve before a spare process is started: until then the browser is drawing
 LONGEST_LINE = 1_000_000  # bytes of a message
-LAST_WORDS = 4_000  # characters of what a process says on stderr that are kept
+LAST_WORDS = 4_000  # characters kept of a process's stderr
 CHILD = (sys.executable, "-m", "planner.view.child")
 CANCEL = b'{"cancel": true}\n'
-ENDED_EARLY = "the solver ended before its time"
+ENDED_EARLY = "the solver ended unexpectedly"
 
 
 class Solver:
-    """Has jobs done, one at a time. Use it in one event loop; `close` leaves no process behind.
+    """Has jobs done by processes, one at a time. Use it in one event loop; `close` leaves no process behind.
 
-    The process of the last job does the next one, with its kernels loaded. It is ended only where a job is cancelled that
-    it does itself; a spare one, which has imported all it needs, takes its place.
+    The process of the last job does the next one, with its kernels loaded. It is ended only when a job that it does
+    itself is cancelled; a spare one, which has imported all it needs, takes its place.
     """
 
     def __init__(self, problem: Path, overrides: Sequence[str], folder: Path, take: Callable[[Event], None]) -> None:
         self._problem, self._overrides, self._folder, self._take = problem, list(overrides), folder, take
         self._spare: asyncio.Task[Process] | None = None
         self._later: asyncio.TimerHandle | None = None
-        self._process: Process | None = None  # which does the job, or did the last one
-        self._words: asyncio.Task[str] | None = None  # what it says on stderr
-        self._apart = False  # the job is done by a copy of it
+        self._process: Process | None = None  # does the job, or did the last one
+        self._words: asyncio.Task[str] | None = None  # its stderr
+        self._apart = False  # whether a copy of it does the job
         self._listening: asyncio.Task[None] | None = None
         self._ending: list[asyncio.Task[None]] = []
 
     def warm_up(self) -> None:
-        """Have a process ready, for the next job."""
+        """Get a process ready for the next job."""
         self._not_later()
         if self._spare is None:
             self._spare = asyncio.create_task(_new_process())
 
     def start(self, job: SolveJob) -> None:
-        """Begin a job; none may run."""
+        """Start a job; none may be running."""
         self._not_later()
         self._apart = False
         self._listening = asyncio.create_task(self._run(job))
 
     def cancel(self) -> None:
-        """End the job that runs, if any, with all its processes; nothing that it said since is told."""
+        """End the running job, if any, with all its processes; its pending messages are dropped."""
         if self._process is not None and self._process.stdin is not None and self._apart:
             self._listen_no_more()
-            with suppress(BrokenPipeError, ConnectionResetError):  # it has ended by itself
+            with suppress(BrokenPipeError, ConnectionResetError):  # it may have ended by itself
                 self._process.stdin.write(CANCEL)
             return
         self._stop()
@@ -83,15 +83,15 @@ class Solver:
         self._later = None
 
     def check(self) -> None:
-        """Raise what went wrong while a process was listened to: a defect, not a user's mistake."""
+        """Raise an error that occurred while listening to a process: a defect, not a user's mistake."""
         if self._listening is not None and self._listening.done() and not self._listening.cancelled():
             self._listening.result()
 
     async def close(self) -> None:
-        """End everything, and wait for the end."""
+        """End everything, and wait until it has ended."""
         self._stop()
         if self._spare is not None:
-            with suppress(OSError):  # it could not be started
+            with suppress(OSError):  # it may have failed to start
                 await _end(await self._spare)
             self._spare = None
         await asyncio.gather(*self._ending)
@@ -104,7 +104,7 @@ class Solver:
             await self._lost(job, process)
 
     async def _fresh(self, job: SolveJob) -> Process | None:
-        """The spare process, once it is there; None where none can be started, which is told."""
+        """The spare process, once it is ready; None if none can be started, which is reported."""
         self.warm_up()
         if self._spare is None:
             return None
@@ -121,7 +121,7 @@ class Solver:
         return process
 
     async def _done(self, job: SolveJob, process: Process) -> bool:
-        """Have a process do a job, and tell what it says; False where it had ended and never heard of it."""
+        """Have a process do a job, and pass on its messages; False if it had ended before receiving the job."""
         order = {
             "number": job.number,
             "problem": str(self._problem),
@@ -132,14 +132,14 @@ class Solver:
         }
         if process.stdin is None or process.stdout is None:
             raise RuntimeError("a solver has no pipes")
-        with suppress(BrokenPipeError, ConnectionResetError):  # it has ended: its last words tell why
+        with suppress(BrokenPipeError, ConnectionResetError):  # if it has ended, its stderr says why
             process.stdin.write(json.dumps(order).encode() + b"\n")
             await process.stdin.drain()
         heard = False
         while line := await process.stdout.readline():
             message = json.loads(line)
             if message["job"] != job.number:
-                continue  # of one that was cancelled
+                continue  # from a cancelled job
             heard = True
             if "apart" in message:
                 self._apart = True
@@ -156,7 +156,7 @@ class Solver:
         return heard
 
     async def _lost(self, job: SolveJob, process: Process) -> None:
-        """Tell that a process ended before its job was done."""
+        """Report that a process ended before its job was done."""
         code, words = await process.wait(), "" if self._words is None else await self._words
         self._process = None
         hint = words.strip().splitlines()[-1] if words.strip() else f"exit code {code}"
@@ -165,7 +165,7 @@ class Solver:
 
 
 def event_of(job: SolveJob, message: dict[str, Any], at: str) -> Event:
-    """What a message of the solver's process means."""
+    """The event for a message from the solver's process."""
     if "mistake" in message:
         return Broke(job.number, Mistake(**message["mistake"]))
     if "stage" in message:
@@ -175,7 +175,7 @@ def event_of(job: SolveJob, message: dict[str, Any], at: str) -> Event:
 
 
 async def _new_process() -> Process:
-    # a session of its own: Ctrl-C in the terminal is for the view, which ends the whole of it
+    # in its own session: Ctrl-C in the terminal reaches only the view, which then ends all of that session
     return await asyncio.create_subprocess_exec(
         *CHILD,
         stdin=PIPE, stdout=PIPE, stderr=PIPE, start_new_session=True, limit=LONGEST_LINE,

@@ -1,1 +1,1 @@
-"""Pages in the browser, served on this computer only: who is let in, what pages are told, and what they ask for."""
+"""Pages in the browser, served on this computer only: access, updates to a page, and its requests."""

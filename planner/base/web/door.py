@@ -1,4 +1,4 @@
-"""Who is let in to a page: words of its addresses, exchanged for a browser's session."""
+"""Access to a page: secret words in its addresses, exchanged for a browser's session."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import secrets
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 
-CODE_TIME = 60.0  # s in which a code is taken, once: a browser that has to be started needs some of them
-MOST_SESSIONS = 50  # browsers; the oldest goes
+CODE_TIME = 60.0  # s for which a code is valid, once: a browser may have to be started first
+MOST_SESSIONS = 50  # browsers; the oldest is dropped
 MOST_CODES = 50
 
 
 @dataclass(frozen=True)
 class _Code:
-    """A word of one use: until when it is taken [s], and the session that it was exchanged for."""
+    """A one-time word: when it expires [s], and the session it was exchanged for."""
 
     end: float
     session: str | None = None
 
 
 class Door:
-    """Words that let a browser in, and the sessions that it gets for them; times [s] are of a steady clock.
+    """Words that let a browser in, and the sessions it gets for them; times [s] are those of a monotonic clock.
 
-    key   lasts as long as the page: for the terminal, and never in the arguments of a program, which all users of a
-          computer can read
-    code  is taken once and for a short time: for the browser's argument
+    key   valid as long as the page is served: for the terminal, and never in the arguments of a program, which all
+          users of a computer can read
+    code  valid once and for a short time: for the browser's argument
     """
 
     def __init__(self) -> None:
@@ -41,9 +41,9 @@ class Door:
         return made
 
     def enter(self, word: str, now: float) -> str | None:
-        """A new session for a key or a code; None for what is neither, or not any more.
+        """A new session for a key or a valid code; None for anything else.
 
-        A code that comes twice was read by somebody else, and nobody knows who was first: its session ends.
+        If a code arrives twice, somebody else has read it, and nobody knows who came first: its session ends.
         """
         if secrets.compare_digest(word.encode(), self.key.encode()):
             return self._session()
@@ -58,7 +58,7 @@ class Door:
         return session
 
     def knows(self, session: str) -> bool:
-        """Whether somebody was let in under this name."""
+        """Whether this is the session of a browser that was let in."""
         return session in self._sessions
 
     def _session(self) -> str:

@@ -1,4 +1,4 @@
-"""A web server for one page on this computer: its files, what it is told, and what the user asks for."""
+"""A web server for one page on this computer: its files, updates to it, and the user's requests."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from tornado.web import Application, HTTPError, RequestHandler
 from planner.base.errors import InputError
 from planner.base.web.door import Door
 
-# It listens on this computer only. A browser is let in by an address with a word that others cannot know, which is
-# exchanged for a cookie (see `door`). The cookie goes to the page's own place only, whose name is drawn, for cookies do
-# not know ports: other servers of this computer must not get it. The Host is checked, so that no name of another site
-# that points here helps.
+# It listens on this computer only. A browser gets in with an address that contains a secret word, which is exchanged
+# for a cookie (see `door`). The cookie is limited to the page's own path, whose name is random: cookies ignore ports,
+# and other servers on this computer must not get it. The Host header is checked, so that another site's name that
+# resolves to this computer is of no use.
 
 HOST = "127.0.0.1"
-LARGEST_ORDER = 1_000  # bytes of what the page may ask for
-MOST_LISTENERS = 20  # pages that are told of changes
-SILENCE_TIME = 10.0  # s after which a listener is told that the server is still there
-IDLE_TIME = 30.0  # s without a whole request, or without a listener's reading, after which a connection ends
-BODY_TIME = 5.0  # s for what is asked for
+LARGEST_ORDER = 1_000  # bytes of a request from the page
+MOST_LISTENERS = 20  # pages that receive updates
+SILENCE_TIME = 10.0  # s without news after which a listener is sent a sign of life
+IDLE_TIME = 30.0  # s without a complete request, or without a listener reading, after which a connection is closed
+BODY_TIME = 5.0  # s to receive the body of a request
 COOKIE = "beadwise"
 SHARED = "planner.base.web"
 ASSETS = {
@@ -43,27 +43,27 @@ PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; frame-src 'self'; img-src data:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-TAKEN, NO_ORDER, NOT_NOW = 204, 400, 409  # answers to what the page asks for
+TAKEN, NO_ORDER, NOT_NOW = 204, 400, 409  # answers to the page's requests
 
 
 class News:
-    """The newest text for all listeners; one that is slow misses what came between, and nobody waits for it."""
+    """The latest text for all listeners; a slow one misses what came in between, and nobody waits for it."""
 
     def __init__(self) -> None:
         self.text = "{}"
         self.listeners: set[asyncio.Event] = set()
 
     def tell(self, text: str) -> None:
-        """There is something new."""
+        """Publish a new text."""
         self.text = text
         for listener in self.listeners:
             listener.set()
 
 
 def listen(port: int, field: str) -> socket.socket:
-    """A socket on this computer's own address; port 0 takes a free one. Raises InputError where the port is taken.
+    """A socket on the loopback address; port 0 takes a free one. Raises InputError if the port is taken.
 
-    field  the option that gave the port
+    field  the option that set the port
     """
     made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -72,7 +72,7 @@ def listen(port: int, field: str) -> socket.socket:
         made.listen(64)
     except OSError as error:
         made.close()
-        hint = f"give another one, or leave {field} out to have a free one"
+        hint = f"give another, or leave {field} out to use a free one"
         raise InputError(f"cannot listen on port {port}: {error.strerror}", field=field, hint=hint) from error
     made.setblocking(False)
     return made
@@ -83,10 +83,10 @@ class PageSite:
     """What a server shows.
 
     name     in words, such as "live view"
-    package  that holds its page.html, page.css and page.js; common.css and common.js stand beside this module
-    news     what the page is told: one value as JSON, whole, whenever something changed
-    take     gets an order of the page, as it came, and answers TAKEN, NO_ORDER or NOT_NOW
-    routes   more handlers below the page's place: pattern, class (an `Inside`), what it finds as `more`
+    package  holds its page.html, page.css and page.js; common.css and common.js are next to this module
+    news     what the page receives: one JSON value, complete, whenever something has changed
+    take     handles a request from the page, as received; returns TAKEN, NO_ORDER or NOT_NOW
+    routes   further handlers below the page's path: pattern, class (an `Inside`), and what it gets as `more`
     """
 
     name: str
@@ -122,22 +122,22 @@ class Server:
 
     @property
     def address(self) -> str:
-        """Lets browsers in as long as the server is there. Not for arguments of programs: all users can read them."""
+        """Lets browsers in as long as the server runs. Not for arguments of programs, which all users can read."""
         return f"{self._origin}/enter/{self._door.key}"
 
     def address_once(self) -> str:
-        """Lets one browser in, for a short time from now on."""
+        """Lets one browser in, for a short time from now."""
         return f"{self._origin}/enter/{self._door.code(time.monotonic())}"
 
     async def close(self) -> None:
-        """Nobody is served any more."""
+        """Stop serving, and close all connections."""
         self._server.stop()
         await self._server.close_all_connections()
 
 
 @dataclass(frozen=True)
 class _Visit:
-    """What all requests need: names of this server, its place, who is in, and what it shows."""
+    """What every request needs: this server's host names, the page's path, the door, and the site."""
 
     hosts: set[str]
     root: str
@@ -150,7 +150,7 @@ def _quiet(handler: RequestHandler) -> None:
 
 
 class _Open(RequestHandler):
-    """For whoever comes to an address of this server, by one of its names."""
+    """For anybody who calls this server by one of its own names."""
 
     def initialize(self, visit: _Visit, **more: Any) -> None:
         self._visit, self.site, self.more = visit, visit.site, more
@@ -172,12 +172,14 @@ class _Open(RequestHandler):
 
     def write_error(self, status_code: int, **_: Any) -> None:
         self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish(f"{status_code}: nothing here; the address of the {self.site.name} stands in the terminal\n")
+        self.finish(f"{status_code}: nothing here; the address of the {self.site.name} is shown in the terminal\n")
 
 
 class _Enter(_Open):
-    """Exchanges a word for a cookie. The page moves on by itself: a redirection that a page of another site began, such as
-    a terminal in a browser, would not carry the cookie.
+    """Exchanges a word for a cookie.
+
+    The page moves on by itself: an HTTP redirect that started on another site, such as a terminal in a browser, would
+    not carry the cookie.
     """
 
     def get(self, word: str) -> None:
@@ -194,18 +196,18 @@ class _Enter(_Open):
 
 
 class Inside(_Open):
-    """For whoever was let in, from the page itself."""
+    """For browsers that were let in, and requests from the page itself."""
 
     def prepare(self) -> None:
         super().prepare()
-        # pages of other servers of this computer are of the same site, and so get past SameSite
+        # pages of other servers on this computer count as the same site, and so get past SameSite
         if self.request.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
             raise HTTPError(403)
         if not self._visit.door.knows(self.get_cookie(COOKIE, "") or ""):
             raise HTTPError(403)
 
     async def in_time(self, sending: Awaitable[None], seconds: float) -> bool:
-        """Whether somebody took what is sent; ends the connection where nobody did within a time [s]."""
+        """Whether the data was taken in time [s]; closes the connection if not."""
         try:
             await asyncio.wait_for(sending, seconds)
         except TimeoutError:
@@ -249,7 +251,7 @@ class _Events(Inside):
             listeners.discard(self._woken)
 
     async def _changed(self) -> bool:
-        """Wait until there is something new; False where nobody reads any more."""
+        """Wait until there is something new; False if the listener has gone."""
         while True:
             try:
                 await asyncio.wait_for(self._woken.wait(), SILENCE_TIME)
@@ -265,7 +267,8 @@ class _Events(Inside):
 
 class _Do(Inside):
     def post(self) -> None:
-        if self.request.headers.get("Content-Type") != "application/json":  # which no other site may send unasked
+        # other sites cannot send this type without asking first (CORS)
+        if self.request.headers.get("Content-Type") != "application/json":
             raise HTTPError(415)
         answer = self.site.take(self.request.body)
         if answer != TAKEN:

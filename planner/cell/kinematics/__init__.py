@@ -1,1 +1,1 @@
-"""Kinematics of arms: forward and inverse, in closed form where there is one, compiled."""
+"""Kinematics of arms, compiled: forward and inverse, in closed form if there is one."""

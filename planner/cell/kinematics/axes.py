@@ -1,7 +1,7 @@
-"""Joint axes of a chain as lines in space, and the small angles' work that the closed forms share.
+"""Joint axes of a chain as lines in space, and small helpers for angles and frames that the closed forms share.
 
 The closed forms of `offset_wrist` and `seven_axes` read their lengths and angle offsets off these lines, so that
-neither the zero posture of a URDF nor the way its link frames are turned matters to them.
+neither the zero posture of a URDF nor the orientation of its link frames matters to them.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from planner.cell.kinematics.chain import Chain, mul4
 
 TURN = 2.0 * np.pi
 STRAIGHT = 1e-9  # sine below which two axes count as one; only the sum of their angles is defined there
-REACH_ROUNDING = 1e-10  # cosine beyond 1 by this much is a stretched arm, not one out of reach
-_NEAR = 5e-3  # m: axes that ought to meet may pass each other by this much in an arm as it was measured
-_SQUARE = 0.02  # rad from square or parallel
+REACH_ROUNDING = 1e-10  # a cosine up to this far beyond 1 means a stretched arm, not a pose out of reach
+_NEAR = 5e-3  # m: axes that should meet may pass each other by this much, as in a measured arm
+_SQUARE = 0.02  # rad: tolerance of axes that should be square or parallel
 
 
 class OtherGeometry(ValueError):
-    """The arm is not of the kind that a closed form asks for; says which axes are not as they should be."""
+    """The arm is not of the kind that a closed form requires; the message says which axes do not fit."""
 
 
 class SixJoints:
-    """What arms of six joints have in common; of most poses a closed form finds eight postures."""
+    """Properties that arms of six joints share; for most poses, a closed form finds eight postures."""
 
     @property
     def joints(self) -> int:
@@ -48,20 +48,20 @@ class SixJoints:
 class JointAxes:
     """Joint axes at the zero posture in some frame: points (n, 3) on them [m], unit directions (n, 3).
 
-    What ought to be square, parallel or meeting may be nearly so, as in an arm that was measured.
+    Axes that should be square, be parallel or meet need do so only nearly, as in a measured arm.
     """
 
     points: Array
     directions: Array
 
     def seen_from(self, frame: Array) -> JointAxes:
-        """The same lines in coordinates of a frame (4, 4) that is given in the present one."""
+        """The same lines in the coordinates of a frame (4, 4) that is given in the current one."""
         R, origin = frame[:3, :3], frame[:3, 3]
         return JointAxes((self.points - origin) @ R, self.directions @ R)
 
     def meet(self, i: int, j: int, near: float = _NEAR) -> Array:
-        """Point (3) on axis i where it meets axis j, to which it is square; OtherGeometry if it passes that by more than
-        `near` [m]."""
+        """Point (3) on axis i where it meets axis j, to which it is square; OtherGeometry if it passes axis j by more
+        than `near` [m]."""
         self.square(i, j)
         apart = self.points[j] - self.points[i]
         gap = abs(apart @ np.cross(self.directions[i], self.directions[j]))
@@ -138,7 +138,7 @@ def wrap(angle: float) -> float:
 
 @inner_njit
 def between(T_left: Array, R: Array, t: Array, T_right: Array, room: Array, out: Array) -> None:
-    """Fill out (4, 4) with T_left (R, t) T_right; room (2, 4, 4) is spoilt."""
+    """Fill out (4, 4) with T_left (R, t) T_right; room (2, 4, 4) is scratch."""
     for i in range(3):
         for j in range(3):
             room[0, i, j] = R[i, j]

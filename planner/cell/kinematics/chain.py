@@ -10,7 +10,7 @@ from planner.base.arrays import Array, Flags
 from planner.base.compiled import inner_njit, njit
 
 # ----------------------------------------------------------------------------------------------------
-# Six by six matrices, compiled: the inverse, and the largest singular value nearly.
+# Six by six matrices, compiled: the inverse, and an estimate of the largest singular value.
 
 _SINGULAR = 1e-12  # pivot below which a matrix has no inverse
 _SQUARINGS = 3
@@ -18,8 +18,8 @@ _SQUARINGS = 3
 
 @inner_njit
 def invert6(A: Array, B: Array) -> bool:
-    """Fill B with the inverse of A (6, 6), which is spoilt; False if A is singular to rounding (Gauss and Jordan, in
-    place: a column that has become one of the unit matrix makes room for one of the inverse)."""
+    """Fill B with the inverse of A (6, 6), which is overwritten; False if A is singular to rounding (Gauss-Jordan, in
+    place: a column that has become one of the unit matrix is replaced by one of the inverse)."""
     for k in range(6):
         best, most = k, abs(A[k, k])
         for i in range(k + 1, 6):
@@ -41,7 +41,7 @@ def invert6(A: Array, B: Array) -> bool:
                 A[i, k] = 0.0
                 for j in range(6):
                     A[i, j] -= f * A[k, j]
-    for k in range(5, -1, -1):  # rows that changed places are columns of the inverse that did
+    for k in range(5, -1, -1):  # rows swapped in A are columns to swap in the inverse
         best = int(B[0, k])
         if best != k:
             for i in range(6):
@@ -54,7 +54,7 @@ def invert6(A: Array, B: Array) -> bool:
 
 @inner_njit
 def largest_singular_value(B: Array, M: Array, S: Array) -> float:
-    """Of B (6, 6), within 2 % from below, for prices only; M, S (6, 6) are room.
+    """Largest singular value of B (6, 6), up to 2 % too low, for prices only; M, S (6, 6) are scratch.
 
     The column of (B B^T)^8 with the greatest diagonal entry is close to the dominant singular vector; a Rayleigh
     quotient with it gives the value.
@@ -62,7 +62,7 @@ def largest_singular_value(B: Array, M: Array, S: Array) -> float:
     for i in range(6):
         for j in range(6):
             S[i, j], M[i, j] = B[j, i], 0.0
-    for i in range(6):  # rows as a whole, for a processor adds several numbers at once, but not to each other
+    for i in range(6):  # whole rows, since a processor adds several numbers at once, but not to each other
         for k in range(6):
             b = B[i, k]
             for j in range(6):
@@ -106,11 +106,12 @@ Nine = tuple[float, float, float, float, float, float, float, float, float]
 class Chain:
     """Joints in series, from the world to a tip frame.
 
-    names       (n) joint names
-    placements  (n, 4, 4) pose of joint i's frame in the previous link's frame; the first one in the world
-    axes        (n, 6) what a joint does in its own frame: unit axis that it turns about (3) and 0, or 0 and the unit
-                direction that it slides along (3)
-    T_last_tip  (4, 4) pose of the tip in the last link's frame (in the world, where n = 0)
+    Attributes:
+        names: Names (n) of the joints.
+        placements: Pose (n, 4, 4) of each joint's frame in the previous link's frame; the first one in the world.
+        axes: Motion (n, 6) of each joint in its own frame: the unit axis that it turns about (3) and zeros, or zeros
+            and the unit direction that it slides along (3).
+        T_last_tip: Pose (4, 4) of the tip in the last link's frame (in the world, where n = 0).
     """
 
     names: tuple[str, ...]
@@ -123,12 +124,12 @@ class Chain:
 
     @property
     def slides(self) -> Flags:
-        """Which joints (n) slide: their places are metres."""
+        """Which joints (n,) slide, so that their positions are in metres."""
         return np.asarray(~self.axes[:, :3].any(axis=1))
 
     @property
     def screws(self) -> Array:
-        """A point of each joint's axis and its direction, in the world with all joints at 0 (n, 6) [m]."""
+        """A point on each joint's axis and its direction, in the world with all joints at 0 (n, 6) [m]."""
         T, out = np.eye(4), np.empty((len(self), 6))
         for i in range(len(self)):
             T = T @ self.placements[i]
@@ -136,16 +137,30 @@ class Chain:
         return out
 
     def poses(self, q: Array) -> Array:
-        """Tip poses T_world_tip (m, 4, 4) of postures q (m, n) [rad, or m of joints that slide]."""
+        """Tip poses in the world.
+
+        Args:
+            q: Postures (m, n) [rad; m for sliding joints].
+
+        Returns:
+            T_world_tip (m, 4, 4) for each posture.
+        """
         return chain_poses(self.placements, self.axes, self.T_last_tip, np.ascontiguousarray(q))
 
     def jacobians(self, q: Array) -> Array:
-        """Geometric Jacobians (m, 6, n) at the tip, world axes, linear rows first [m and rad for each rad or m]."""
+        """Geometric Jacobians at the tip, world axes, linear rows first.
+
+        Args:
+            q: Postures (m, n) [rad; m for sliding joints].
+
+        Returns:
+            Jacobians (m, 6, n) [m and rad per rad or m].
+        """
         return chain_jacobians(self.placements, self.axes, self.T_last_tip, np.ascontiguousarray(q))
 
 
 def joint_move(axis: Array, q: float) -> Array:
-    """What a joint does (4, 4) at an angle or place q [rad, m]; axis (6) as in Chain."""
+    """Transform (4, 4) of a joint at an angle or position q [rad, m]; axis (6) as in Chain."""
     T = np.eye(4)
     if axis[:3].any():
         rotate_about(axis[:3], q, T)
@@ -210,8 +225,8 @@ def chain_state(
 ) -> None:
     """Fill origins, directions (n, 3) of the joints and T_tip (4, 4) for one posture.
 
-    Of a joint that slides the direction, about which it turns, is 0, and its origin is the way that it slides by a metre.
-    The pose on the way stays in the processor's registers: as arrays it would take twice as long.
+    For a sliding joint, the direction, which is that of rotation, is 0, and the origin is the shift per metre of
+    travel. The pose so far stays in the processor's registers: as arrays, this would take twice as long.
     """
     n = q.size
     R = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -253,7 +268,7 @@ def chain_state(
 
 @inner_njit
 def jacobian_at(origins: Array, directions: Array, p: Array, J: Array) -> None:
-    """Fill J (6, n), linear rows first, at a point p (3), from what `chain_state` gives."""
+    """Fill J (6, n), linear rows first, at a point p (3), from the results of `chain_state`."""
     for j in range(J.shape[1]):
         d = directions[j]
         if d[0] == 0.0 and d[1] == 0.0 and d[2] == 0.0:
@@ -291,12 +306,12 @@ def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array)
 
 
 # ----------------------------------------------------------------------------------------------------
-# Newton's method on a chain, compiled: postures for a pose from postures nearby.
+# Newton's method on a chain, compiled: find a posture for a pose from one nearby.
 #
 # Damped as by Sugihara, "Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt method", 2011: the
 # damping falls with the squared error, so that the last steps are plain Newton's.
 
-EXACT = 1e-11  # m and rad: below, a posture has the pose
+EXACT = 1e-11  # m and rad: with an error below this, a posture has the pose
 _LEAST_DAMPING = 1e-13
 _LONGEST_STEP = 0.5  # rad in one joint
 
@@ -312,7 +327,7 @@ def refine(
     q: Array,
     iterations: int,
 ) -> bool:
-    """Change q (n) until its pose is rotation R (3, 3) and origin t (3); whether it got there.
+    """Change q (n) until its pose has rotation R (3, 3) and origin t (3); return whether it got there.
 
     held  joint that keeps its angle; -1 for none
     """
@@ -355,14 +370,14 @@ def refine(
 def _pose_and_jacobian(
     placements: Array, axes: Array, T_last_tip: Array, q: Array, tip: Array, J: Array, lines: Array
 ) -> None:
-    """Fill tip (4, 4) and its geometric Jacobian J (6, n) of one posture q (n); lines (2, n, 3) is spoilt."""
+    """Fill tip (4, 4) and its geometric Jacobian J (6, n) for one posture q (n); lines (2, n, 3) is scratch."""
     chain_state(placements, axes, T_last_tip, q, lines[0], lines[1], tip)
     jacobian_at(lines[0], lines[1], tip[:3, 3], J)
 
 
 @inner_njit
 def solve_symmetric(A: Array, b: Array) -> None:
-    """b (n) becomes the x of A x = b with a positive definite A (n, n), which is spoilt (Cholesky)."""
+    """Replace b (n) by the solution x of A x = b; A (n, n), positive definite, is overwritten (Cholesky)."""
     n = b.size
     for j in range(n):
         for i in range(j, n):
@@ -384,7 +399,7 @@ def solve_symmetric(A: Array, b: Array) -> None:
 
 @inner_njit
 def _error(T: Array, R: Array, t: Array, e: Array) -> float:
-    """Fill e (6) with the way from pose T to (R, t): shift [m], then turn [rad] as a vector; its squared length."""
+    """Fill e (6) with the error from pose T to (R, t): shift [m], then rotation vector [rad]; its squared length."""
     D = np.empty((3, 3))  # R T^T
     for i in range(3):
         e[i] = t[i] - T[i, 3]

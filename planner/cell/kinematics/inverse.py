@@ -1,4 +1,4 @@
-"""Inverse kinematics of an arm, whatever its kind: what everybody needs of it; arms nearly of a kind, and on a rail or gantry."""
+"""Inverse kinematics of arms of any kind: the common interface; arms nearly of a kind, and arms on a rail or gantry."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from planner.cell.kinematics.spherical_wrist import SphericalWrist
 # ----------------------------------------------------------------------------------------------------
 # Arms that are nearly of a kind with a closed form: its postures, refined by Newton's method on the true chain.
 #
-# Measured (calibrated) arms are of this sort, and URDF files whose right angles were rounded. Branches are those of
+# Such are measured (calibrated) arms, and those of URDF files whose right angles were rounded. Branches are those of
 # the nearest ideal arm; poses are exact.
 
-_ITERATIONS = 20  # two or three do, a few more beside singularities
+_ITERATIONS = 20  # two or three suffice, a few more near singularities
 
 
 @dataclass(frozen=True)
 class Corrected:
-    """The closed form of the nearest ideal arm, and the chain from base to flange that counts."""
+    """The closed form of the nearest ideal arm, and the arm's true chain from base to flange."""
 
     nominal: PlacedWrist | OffsetWrist | SevenAxes
     chain: Chain
@@ -65,7 +65,7 @@ class Corrected:
     def solve(self, T_base_flange: Array, redundant: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
         """Postures q (m, B, n) in (-pi, pi] of flange poses (m, 4, 4), and which exist (m, B).
 
-        Those of the ideal arm, refined; where that fails, at the edge of reach or in a singularity, there is none.
+        Those of the ideal arm, refined; if that fails, at the edge of reach or in a singularity, there is none.
         """
         q, ok = self.nominal.solve(T_base_flange, redundant)
         _refine_all(self.parameters, np.ascontiguousarray(T_base_flange), q, ok)
@@ -107,18 +107,18 @@ def _refine_all(p: Array, T: Array, q: Array, ok: NDArray[np.bool_]) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Arms on a rail or a gantry: an arm of some joints more, whose redundant joints are the first ones.
+# Arms on a rail or a gantry: arms with more joints, whose first ones are redundant.
 #
-# They bring the arm's base somewhere; seen from there the arm has the closed form that it always has.
+# These place the arm's base; seen from there, the arm keeps its closed form.
 
 
 @dataclass(frozen=True)
 class OnRail:
     """An arm on k joints that carry it, which slide or turn; poses are in the frame that these start from.
 
-    arm    the arm's own inverse kinematics; where it has a redundant joint, that is given behind those that carry it
+    arm    the arm's own inverse kinematics; if it has a redundant joint, that is given after those that carry the arm
     rail   the carrying joints, whose tip is the arm's base
-    rest   all these joints' angles or places where nobody gives any [rad, m]
+    rest   default positions of all these joints, if none are given [rad, m]
     """
 
     arm: SphericalWrist | PlacedWrist | OffsetWrist | SkewWrist | SevenAxes | Corrected
@@ -127,7 +127,7 @@ class OnRail:
 
     @property
     def joints(self) -> int:
-        """As many more than the arm has as carry it."""
+        """Number of joints: the arm's and those that carry it."""
         return self.arm.joints + len(self.rail)
 
     @property
@@ -142,7 +142,7 @@ class OnRail:
 
     @property
     def parameters(self) -> Array:
-        """How many joints carry the arm, their placements, axes and tip, then the arm's own."""
+        """Number of joints that carry the arm, their placements, axes and tip, then the arm's own parameters."""
         rail = self.rail
         pieces = [[float(len(rail))], rail.placements.ravel(), rail.axes.ravel(), rail.T_last_tip.ravel()]
         return np.concatenate([*pieces, self.arm.parameters])
@@ -153,8 +153,8 @@ class OnRail:
         return self.rail.poses(q[:, :k]) @ self.arm.poses(np.ascontiguousarray(q[:, k:]))
 
     def solve(self, T_base_flange: Array, redundant: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Postures q (m, B, n) of flange poses (m, 4, 4), and which exist (m, B): those of the arm, with its base where
-        the first k of the angles or places redundant (m, k or k + 1), `rest` if not given, have it."""
+        """Postures q (m, B, n) of flange poses (m, 4, 4), and which exist (m, B): those of the arm, with its base
+        placed by the first k of the positions redundant (m, k or k + 1), which are `rest` if not given."""
         given = self._given(T_base_flange, redundant)
         k = len(self.rail)
         q, ok = self.arm.solve(self._from_arm(T_base_flange, given[:, :k]), self._own(given))
@@ -165,16 +165,16 @@ class OnRail:
         return self.arm.branches(np.ascontiguousarray(q[:, len(self.rail) :]))
 
     def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
-        """How far (m) the flange poses are out of the arm's reach from there [m]; 0 within."""
+        """How far (m) the flange poses are out of the arm's reach from its base there [m]; 0 within."""
         given = self._given(T_base_flange, redundant)
         return self.arm.out_of_reach(self._from_arm(T_base_flange, given[:, : len(self.rail)]), self._own(given))
 
     def _own(self, given: Array) -> Array | None:
-        """Of what is given, the arm's own redundant joint (m), if it has one."""
+        """The given angles (m) of the arm's own redundant joint, if it has one."""
         return None if self.arm.redundant_joint is None else given[:, len(self.rail)]
 
     def _from_arm(self, T_base_flange: Array, given: Array) -> Array:
-        """Flange poses (m, 4, 4) as the arm's own base has them, the carrying joints at (m, k)."""
+        """Flange poses (m, 4, 4) in the arm's own base frame, with the carrying joints at given (m, k)."""
         base = self.rail.poses(given)
         R = np.swapaxes(base[:, :3, :3], 1, 2)
         out = np.zeros_like(T_base_flange)
@@ -190,8 +190,8 @@ class OnRail:
 
 @inner_njit
 def _seen_from_arm(p: Array, given: Array, R: Array, t: Array, out: Array) -> None:
-    """Fill out (4, 4) with a flange pose, rotation R (3, 3) and origin t (3), as the arm's own base has it; p: parameters
-    up to the arm's own, given (k, or more)."""
+    """Fill out (4, 4) with a flange pose, rotation R (3, 3) and origin t (3), in the arm's own base frame; p:
+    parameters up to the arm's own; given (k, or more): positions of the joints that carry it."""
     k = int(p[0])
     placements, axes = p[1 : 1 + 16 * k].reshape(k, 4, 4), p[1 + 16 * k : 1 + 22 * k].reshape(k, 6)
     base, lines = np.empty((4, 4)), np.empty((2, k, 3))
@@ -206,7 +206,7 @@ def _seen_from_arm(p: Array, given: Array, R: Array, t: Array, out: Array) -> No
 
 
 # ----------------------------------------------------------------------------------------------------
-# What everybody needs of an arm's inverse kinematics, whatever its kind.
+# The interface of an arm's inverse kinematics, whatever its kind.
 
 SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, PLACED_WRIST, SKEW_WRIST, CORRECTED, ON_RAIL = 0, 1, 2, 3, 4, 8, 16
 
@@ -214,8 +214,8 @@ SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, PLACED_WRIST, SKEW_WRIST, CORRECTED, 
 class InverseKinematics(Protocol):
     """Inverse kinematics of an arm; poses are those of the flange in the arm's base frame.
 
-    Branches are numbered: a posture's number is its index in what `solve` returns. With a closed form it changes along a
-    continuous motion only in a singularity; of a `SkewWrist` in few places besides.
+    Branches are numbered: a posture's number is its index in the result of `solve`. With a closed form, it changes
+    along a continuous motion only at a singularity; for a `SkewWrist`, in a few other places too.
     """
 
     @property
@@ -228,32 +228,63 @@ class InverseKinematics(Protocol):
 
     @property
     def redundant_joint(self) -> int | None:
-        """Index of the joint whose angle is given to `solve` from outside, or of the first of those that carry the arm;
-        None for an arm of six joints."""
+        """Index of the joint whose position is given to `solve`; None for an arm of six joints.
+
+        If joints carry the arm, it is the first of these.
+        """
 
     @property
     def parameters(self) -> Array:
-        """What `solve_one` needs of this arm, in an order of its own."""
+        """The numbers that `solve_one` needs for this arm, in an order of its kind's own."""
 
     def poses(self, q: Array) -> Array:
-        """Flange poses T_base_flange (m, 4, 4) of postures q (m, n)."""
+        """Flange poses in the arm's base frame.
+
+        Args:
+            q: Postures (m, n) [rad; m for sliding joints].
+
+        Returns:
+            T_base_flange (m, 4, 4) for each posture.
+        """
 
     def solve(self, T_base_flange: Array, redundant: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Postures q (m, B, n) in (-pi, pi] of flange poses (m, 4, 4), and which exist (m, B).
+        """All postures that have given flange poses, one for each branch.
 
-        redundant (m), or (m, k) of k such joints, are their angles [rad, m]; where there are none, it is not looked at.
+        Args:
+            T_base_flange: Flange poses (m, 4, 4) in the arm's base frame.
+            redundant: Positions (m,) of the redundant joint, or (m, k) of k such joints [rad; m for sliding joints];
+                ignored if the arm has none.
+
+        Returns:
+            Postures (m, B, n), in (-pi, pi] for joints that turn [rad; m for sliding joints].
+            Which of them exist (m, B).
         """
 
     def branches(self, q: Array) -> NDArray[np.int8]:
-        """Branch numbers (m) of postures q (m, n)."""
+        """Branch numbers of postures.
+
+        Args:
+            q: Postures (m, n) [rad; m for sliding joints].
+
+        Returns:
+            Branch numbers (m,).
+        """
 
     def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
-        """By how much (m) the arm's lengths fail to reach the flange poses, about the distance out of reach [m]; 0 within."""
+        """By how much the arm's lengths fail to reach flange poses, about the distance missed.
+
+        Args:
+            T_base_flange: Flange poses (m, 4, 4) in the arm's base frame.
+            redundant: As in `solve`.
+
+        Returns:
+            Distances (m,) [m]; 0 within reach.
+        """
 
 
 def kind_of(inverse: InverseKinematics) -> int:
-    """The kind that `solve_one` takes: one of the constants above, CORRECTED added for a corrected arm, ON_RAIL for one
-    that is carried."""
+    """The kind that `solve_one` takes: one of the constants above, plus CORRECTED for a corrected arm, plus ON_RAIL for
+    one that is carried."""
     if isinstance(inverse, OnRail):
         return ON_RAIL + kind_of(inverse.arm)
     if isinstance(inverse, Corrected):
@@ -268,7 +299,7 @@ def kind_of(inverse: InverseKinematics) -> int:
 
 
 def with_rest(inverse: InverseKinematics, *rest: float) -> InverseKinematics:
-    """The same arm, its redundant joints at such places [rad, m] wherever `solve` is not given any."""
+    """The same arm, with these positions [rad, m] of its redundant joints whenever `solve` is given none."""
     if isinstance(inverse, OnRail):
         return replace(inverse, rest=rest)
     if isinstance(inverse, Corrected) and isinstance(inverse.nominal, SevenAxes):
@@ -289,8 +320,8 @@ def track(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Postures q (m, n) along a path of flange poses (m, 4, 4) on the branch of q_start (n), and where they exist (m).
 
-    redundant as in `solve`. Joints are continuous in whole turns from q_start on; where there is no posture, the
-    one before is repeated.
+    redundant as in `solve`. Joints are unwrapped, so that they are continuous from q_start on; where there is no
+    posture, the previous one is repeated.
     """
     solutions, exists = inverse.solve(T_base_flange, redundant)
     branch = int(inverse.branches(q_start[None])[0])
@@ -311,16 +342,16 @@ def branches_of(kind: int) -> int:
 
 
 # ----------------------------------------------------------------------------------------------------
-# One compiled entry to all kinds.
+# One compiled entry point for all kinds.
 #
-# Whoever calls `solve_one` compiles no kind's solver: it is called by its address, and compiled where an arm has that kind.
+# Callers of `solve_one` compile no kind's solver: it is called by its address, and compiled only for arms of its kind.
 
 
 class SolverAddresses(NamedTuple):
     """Addresses, in this process, of an arm's compiled solver.
 
     own    of its kind's closed form or search
-    whole  of what corrects its postures or carries it, which calls `own`; 0 where nothing does
+    whole  of the solver that corrects postures or accounts for a carrier, and calls `own`; 0 if neither is needed
     """
 
     own: int
@@ -341,7 +372,7 @@ def solve_one(
     """Fill q (B, n) and ok (B) with the postures for one flange pose T (4, 4); B: `branches_of`.
 
     kind, solver, p  of the arm: `kind_of`, `solver_of`, `parameters`
-    redundant (k)  the redundant joints' angles or places [rad, m], one number whatever without any
+    redundant (k)  the redundant joints' angles or places [rad, m]; without any, one arbitrary number
     """
     if kind < CORRECTED:
         call_at(solver.own, (p, p.size, redundant[0], T, q, ok))

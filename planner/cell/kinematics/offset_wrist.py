@@ -1,15 +1,15 @@
-"""Closed-form inverse kinematics of six-axis arms with an offset wrist, as Universal Robots': all branches, compiled.
+"""Closed-form inverse kinematics of six-axis arms with an offset wrist (Universal Robots): all branches, compiled.
 
 Axis 1 meets axis 2; axes 2, 3, 4 are parallel; axis 4 meets axis 5 and axis 5 meets axis 6, each time square to it.
-With theta_i = +-q_i + offset, the frame K at the crossing of axes 5 and 6, its y along axis 6, is in the shoulder's
-frame (crossing of axes 1 and 2, z along axis 1)
+With theta_i = +-q_i + offset, the frame K at the crossing of axes 5 and 6, its y along axis 6, has in the shoulder's
+frame (crossing of axes 1 and 2, z along axis 1) the pose
 
     R = Rz(th1) Ry(phi) Rz(th5) Ry(th6),                        phi = th2 + th3 + th4
     p = Rz(th1) (a2 sin th2 + a3 sin th23 + d5 sin phi, d4, a2 cos th2 + a3 cos th23 + d5 cos phi)
 
-The shoulder's y coordinate of p gives th1 (two), the y row of Rz(-th1) R gives th5 (two) and th6, the rest of it
-phi, and what is left is a triangle in the plane of the upper arm and the forearm (two). Hawkins, "Analytic inverse
-kinematics for the Universal Robots UR-5/UR-10 arms", 2013, goes the same way by Denavit-Hartenberg matrices.
+The shoulder's y coordinate of p gives th1 (two solutions), the y row of Rz(-th1) R gives th5 (two) and th6, the rest of
+it phi, and a triangle in the plane of the upper arm and the forearm remains (two). Hawkins, "Analytic inverse
+kinematics for the Universal Robots UR-5/UR-10 arms", 2013, takes the same steps with Denavit-Hartenberg matrices.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ class OffsetWrist(SixJoints):
         """All eight postures q (m, 8, 6) in (-pi, pi] of flange poses (m, 4, 4), and which exist (m, 8).
 
         The index of a posture is its branch number: 4 wrist behind axis 1, 2 elbow bent the negative way, 1 axis 5
-        negative; angles as theta above. Joint limits are not looked at. Where axis 6 is parallel to axes 2, 3, 4
-        there are infinitely many postures; the one with q6 = 0 (or pi) is given if it is within reach.
+        negative; angles as theta above. Joint limits are not checked. Where axis 6 is parallel to axes 2, 3, 4, there
+        are infinitely many postures; the one with q6 = 0 (or pi) is returned if it is within reach.
         """
         return _solve(self.parameters, np.ascontiguousarray(T_base_flange))
 
@@ -86,7 +86,7 @@ def read_offset_wrist(chain: Chain) -> OffsetWrist:
     Q, P = lines.meet(3, 4), lines.meet(4, 5)
     a2, a3 = np.hypot(x3, z3), np.hypot(x4 - x3, z4 - z3)
     if min(a2, a3) < 1e-3:
-        raise OtherGeometry("axes 2, 3, 4 are not three different ones")
+        raise OtherGeometry("axes 2, 3 and 4 are not three distinct lines")
     th2, th23 = np.arctan2(x3, z3), np.arctan2(x4 - x3, z4 - z3)
     phi = np.arctan2(lines.directions[4, 0], lines.directions[4, 2])
     d4, d5 = Q[1], (P - Q) @ lines.directions[4]
@@ -126,7 +126,7 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
             if wrist == 1:
                 th5, th6 = -th5, th6 + np.pi
             s6, c6 = np.sin(th6), np.cos(th6)
-            # phi from th6, not by itself: exact however nearly axis 6 is parallel to axis 4
+            # phi from th6, not independently: exact however close to parallel axes 6 and 4 are
             sin_phi = c6 * (c1 * K[0, 2] + s1 * K[1, 2]) - s6 * (c1 * K[0, 0] + s1 * K[1, 0])
             cos_phi = c6 * K[2, 2] - s6 * K[2, 0]
             phi = np.arctan2(sin_phi, cos_phi)

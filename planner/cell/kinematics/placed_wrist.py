@@ -1,7 +1,7 @@
-"""Six-axis arms with a spherical wrist as a URDF has them: any zero, senses of axes and frames; lengths read off the axes.
+"""Six-axis arms with a spherical wrist as URDFs have them: any zero, axis senses and frames; lengths read off the axes.
 
-Axes 2 and 3 are parallel and square to axis 1, axes 4, 5, 6 meet in the wrist's centre, neighbours square to each other.
-In a frame on axis 1 and one on axis 6 such an arm is that of `spherical_wrist`, its joints counted as
+Axes 2 and 3 are parallel and square to axis 1; axes 4, 5, 6 meet in the wrist's centre, neighbours square to each
+other. Between a frame on axis 1 and one on axis 6, such an arm is that of `spherical_wrist`, its joints counted as
 theta_i = +-q_i + offset: upper arm upright and forearm level at 0.
 """
 
@@ -31,9 +31,9 @@ from planner.cell.kinematics.chain import Chain, mul4
 from planner.cell.kinematics.spherical_wrist import BRANCHES, SphericalWrist, branch_of, pose_one
 
 _LENGTHS, _SIGNS, _OFFSETS, _BASE, _FLANGE = slice(0, 7), slice(7, 13), slice(13, 19), slice(19, 35), slice(35, 51)
-_NEAR = 5e-3  # m: axes of a wrist pass each other by no more, as in an arm that was measured
-_SHORTEST = 1e-3  # m: of an upper arm, and of a forearm
-_SAME = 1e-12  # rad and m by which frames and offsets may miss those of `SphericalWrist`, rounding
+_NEAR = 5e-3  # m: axes of a wrist pass each other by no more than this, as in a measured arm
+_SHORTEST = 1e-3  # m: least length of an upper arm, and of a forearm
+_SAME = 1e-12  # rad and m: rounding by which frames and offsets may differ from those of `SphericalWrist`
 _solve_one = spherical_wrist.solve_one
 
 
@@ -70,7 +70,7 @@ class PlacedWrist(SixJoints):
 
     @property
     def T_base_foot(self) -> Array:
-        """Where the arm of `arm` stands (4, 4): its z along axis 1."""
+        """Pose (4, 4) of the foot of `arm` in the base frame: its z along axis 1."""
         return inverse_of(self.parameters[_BASE])
 
     @property
@@ -89,7 +89,7 @@ class PlacedWrist(SixJoints):
     def solve(self, T_base_flange: Array, redundant: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
         """All eight postures q (m, 8, 6) in (-pi, pi] of flange poses (m, 4, 4), and which exist (m, 8).
 
-        Branches are numbered as by `SphericalWrist`, of theta. Joint limits are not looked at. With a straight wrist
+        Branches are numbered as by `SphericalWrist`, from theta. Joint limits are not checked. With a straight wrist,
         theta_4 is 0.
         """
         return _solve(self.parameters, np.ascontiguousarray(T_base_flange))
@@ -105,14 +105,14 @@ class PlacedWrist(SixJoints):
 
 
 # ----------------------------------------------------------------------------------------------------
-# Reading off a chain. Of the ways in which theta can be counted it is the one of data sheets: z up, axis 2 ahead of axis
-# 1, forearm forwards, and the rest nearest to the URDF's own zero.
+# Reading off a chain. Of the ways to count theta, that of data sheets is used: z up, axis 2 ahead of axis 1, forearm
+# forwards, and the rest nearest to the URDF's own zero.
 
 
 def read_spherical_wrist(chain: Chain, T_base_stand: Array | None = None) -> PlacedWrist:
     """Read lengths, senses and offsets off a chain from base to flange; OtherGeometry if it is not of this kind.
 
-    T_base_stand (4, 4): where the arm's own base is in that base, with which its foot is level; both are one if not given
+    T_base_stand (4, 4): pose in the chain's base of the arm's own, with which its foot is level; default: identity
     """
     if len(chain) != 6:
         raise OtherGeometry(f"it has {len(chain)} joints, not 6")
@@ -164,7 +164,7 @@ def _sense(axis: Array, along: Array) -> float:
 
 
 def _wrist_centre(lines: JointAxes) -> Array:
-    """Where axes 4, 5 and 6 meet (3): the place nearest to all three. OtherGeometry if they do not."""
+    """The point (3) where axes 4, 5 and 6 meet: that nearest to all three. OtherGeometry if they do not."""
     projections = [np.eye(3) - np.outer(d, d) for d in lines.directions[3:]]
     centre = np.linalg.solve(sum(projections), sum(P @ p for P, p in zip(projections, lines.points[3:], strict=True)))
     misses = [np.linalg.norm(P @ (centre - p)) for P, p in zip(projections, lines.points[3:], strict=True)]
@@ -177,15 +177,15 @@ def _wrist_centre(lines: JointAxes) -> Array:
 
 
 def _foot(lines: JointAxes, T_base_stand: Array) -> tuple[Array, float]:
-    """The frame (4, 4) of the foot in the base: z along axis 1 and up as seen from the arm's own base, against which it is
-    turned as little as can be; and theta_1 at zero [rad]: how far ahead of its x the arm stands, axis 2 before axis 1."""
+    """The foot's frame (4, 4) in the base: z along axis 1 and up as seen from the arm's own base, relative to which it
+    turns as little as possible; and theta_1 at zero [rad]: the angle from its x to the arm, axis 2 ahead of axis 1."""
     T_base_own = T_base_stand.copy()
     if abs(lines.directions[0] @ T_base_own[:3, 2]) < 0.5:
-        T_base_own[:3, :3] = np.eye(3)  # a link that was drawn lying, which its URDF puts upright
+        T_base_own[:3, :3] = np.eye(3)  # a link that was drawn lying down, which the URDF sets upright
     own = lines.seen_from(T_base_own)
     up = own.directions[0] * _sense(own.directions[0], np.array([0.0, 0.0, 1.0]))
     y = np.array([0.0, 1.0, 0.0]) if abs(up[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
-    level = own.points[0] - (own.points[0] @ up) * up  # with the origin of the arm's own base
+    level = own.points[0] - (own.points[0] @ up) * up  # as high as the origin of the arm's own base
     T = T_base_own @ from_zy(level, up, y)
     local = lines.seen_from(T)
     across = local.directions[1]
@@ -196,8 +196,8 @@ def _foot(lines: JointAxes, T_base_stand: Array) -> tuple[Array, float]:
 
 
 def _fifth(axis: Array) -> tuple[float, float]:
-    """Sense of axis 5 and theta_4 at zero, from its direction in the forearm's frame: of both ways to count, the lesser
-    angle."""
+    """Sense of axis 5 and theta_4 at zero, from its direction in the forearm's frame: of the two ways to count, the one
+    with the smaller angle."""
     theta4 = float(np.arctan2(-axis[0], axis[1]))
     if abs(theta4) <= 0.5 * np.pi + _SAME:
         return 1.0, theta4
@@ -205,7 +205,7 @@ def _fifth(axis: Array) -> tuple[float, float]:
 
 
 def _out_of_flange(lines: JointAxes, T_base_flange: Array, centre: Array) -> Array:
-    """Direction (3) of axis 6 that points out of the flange: along its z, or from the wrist to it where z is square."""
+    """Direction (3) of axis 6 out of the flange: along its z, or, if z is square, from the wrist to the flange."""
     axis = lines.directions[5]
     along = float(axis @ T_base_flange[:3, 2])
     if abs(along) < 0.5:

@@ -1,13 +1,13 @@
 """Closed-form inverse kinematics of seven-axis arms with a spherical shoulder, for one joint's angle given.
 
 Neighbouring axes are square to each other; axes 1, 2, 3 meet in the shoulder S, axes 5 and 6 in the wrist W. With
-theta_i = q_i + offset, the frame on axis 7 is in the shoulder's frame (origin S, z along axis 1, y along axis 2)
+theta_i = q_i + offset, the pose of the frame on axis 7 in the shoulder's (origin S, z along axis 1, y along axis 2) is
 
     Rz(th1) Ry(th2) Rz(th3) (a3, 0, d3) Ry(th4) (a4, 0, d5) Rz(th5) Ry(th6) (a6, y6, 0) Rz(th7)
 
-Given th7 (Panda, and any other): W is known, the distance SW gives th4 (two), S seen from the wrist gives th6 (two)
-and th5, the rest is Rz Ry Rz and gives th1, th2, th3 (two). So He and Liu, "Analytical inverse kinematics for
-Franka Emika Panda", 2021, by another geometry. Given th3 (a6 = y6 = 0, such as LBR iiwa): W is known from the pose
+Given th7 (Panda, and any other): W is known, the distance SW gives th4 (two solutions), S seen from the wrist gives th6
+(two) and th5, the rest is Rz Ry Rz and gives th1, th2, th3 (two). He and Liu, "Analytical inverse kinematics for Franka
+Emika Panda", 2021, do so by another geometry. Given th3 (a6 = y6 = 0, such as LBR iiwa): W is known from the pose
 alone, SW gives th4, the height of W gives th2 (two) and th1, the rest is Rz Ry Rz and gives th5, th6, th7 (two).
 """
 
@@ -24,10 +24,11 @@ from planner.cell.kinematics.axes import OtherGeometry, about_y, about_z, at, ax
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.seven_axes_kernel import BRANCHES, SEVENTH, THIRD
 
-NEAR = 5e-3  # m: as in an arm that was measured
-FAR = 0.12  # m by which axes may pass each other where Newton's method is to find postures from those of the ideal arm, and
-_FAR_WRIST = 0.03  # m those of the wrist, with joint 3 given: with joint 7 given they need not meet
-_ROUNDING = 1e-9  # m by which axes that meet may pass each other
+# m by which axes that should meet may pass each other:
+NEAR = 5e-3  # as in a measured arm
+FAR = 0.12  # if Newton's method is to find postures from those of the ideal arm
+_FAR_WRIST = 0.03  # likewise for the wrist's axes, with joint 3 given; with joint 7 given, they need not meet
+_ROUNDING = 1e-9  # if they do meet
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class SevenAxes:
     parameters       (46): a3, d3, a4, d5, a6, y6; offsets (7) of theta = q + offset; T_shoulder_base (16) and
                      T_flange_7 (16) by rows; redundant_joint once more, for the kernel
     redundant_joint  index of the joint whose angle is given from outside: 2 or 6
-    rest             its angle where nobody gives one [rad]
+    rest             its angle if none is given [rad]
     """
 
     parameters: Array
@@ -64,8 +65,8 @@ class SevenAxes:
         redundant (m) are the redundant joint's angles [rad], `rest` if not given. The index of a posture is its
         branch number: 4 elbow bent the negative way; with joint 7 given, 2 theta_2 negative, 1 the shoulder behind
         axis 6, seen from the hand; with joint 3 given, 2 wrist behind axis 1, 1 theta_6 negative. Joint limits are
-        not looked at. Where two axes fall into one, the first joint of the two (of 5 and 7: joint 5) is at the
-        zero of its theta.
+        not checked. Where two axes coincide, the first joint of the two (of 5 and 7: joint 5) is at the zero of its
+        theta.
         """
         return kernel.solve(self.parameters, self._given(T_base_flange, redundant), np.ascontiguousarray(T_base_flange))
 
@@ -76,7 +77,8 @@ class SevenAxes:
     def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
         """By how much (m) the arm is too short or too long for these redundant angles [m]; 0 within reach.
 
-        Another redundant angle may reach what this one does not; with a nearly straight elbow it overstates the way.
+        Another redundant angle may reach poses that this one does not. With a nearly straight elbow, the result is too
+        large.
         """
         given = self._given(T_base_flange, redundant)
         return kernel.out_of_reach(self.parameters, given, np.ascontiguousarray(T_base_flange))
@@ -88,8 +90,8 @@ class SevenAxes:
 
 
 def read_seven_axes(chain: Chain, redundant_joint: int, near: float = NEAR) -> SevenAxes:
-    """Read lengths and offsets off a chain from base to flange; OtherGeometry if it is not of this kind, its axes passing those
-    that they ought to meet by more than `near` [m]. Of those that pass by less one is read where they meet."""
+    """Read lengths and offsets off a chain from base to flange; OtherGeometry if it is not of this kind, or if axes
+    that should meet pass each other by more than `near` [m]. If they pass by less, an arm is read whose axes meet."""
     if len(chain) != 7:
         raise OtherGeometry(f"it has {len(chain)} joints, not 7")
     lines, T_base_flange = axes_at_zero(chain)
@@ -119,7 +121,7 @@ def read_seven_axes(chain: Chain, redundant_joint: int, near: float = NEAR) -> S
     a6, y6, _ = local.points[6] - local.points[6, 2] * local.directions[6]
     if redundant_joint not in (THIRD, SEVENTH):
         raise OtherGeometry("the redundant joint can be joint 3 or joint 7")
-    missed = np.hypot(a6, y6) if redundant_joint == THIRD else 0.0  # with joint 7 given, what it is
+    missed = np.hypot(a6, y6) if redundant_joint == THIRD else 0.0  # with joint 7 given, it may be anything
     if missed > min(near, _FAR_WRIST):
         raise OtherGeometry("axes 5, 6, 7 do not meet in one point: the redundant joint can only be joint 7")
     if missed > _ROUNDING:

@@ -13,7 +13,7 @@ from planner.cell.kinematics.chain import mul4
 BRANCHES = 8
 ELBOW_NEGATIVE, SHOULDER_OTHER, WRIST_OTHER = 4, 2, 1  # bits of a branch number
 THIRD, SEVENTH = 2, 6  # the joints that can be given, counted from 0
-_ASIDE = 1e-8  # m by which rounding can move a point away from an axis that a straight elbow turns it about
+_ASIDE = 1e-8  # m by which rounding can move a point off the axis that a straight elbow turns it about
 
 
 @inner_njit
@@ -168,8 +168,8 @@ def _given_third(
 
 @njit
 def solve(p: Array, given: Array, T: Array) -> tuple[Array, Flags]:
-    """All branches' joints (m, BRANCHES, 7) [rad] for flange poses T (m, 4, 4) in the arm's base, and which of them exist
-    (m, BRANCHES). given (m): the redundant joint [rad]; p: see `solve_one`."""
+    """All branches' joints (m, BRANCHES, 7) [rad] for flange poses T (m, 4, 4) in the arm's base, and which of them
+    exist (m, BRANCHES). given (m): the redundant joint [rad]; p: see `solve_one`."""
     m = T.shape[0]
     q = np.zeros((m, BRANCHES, 7))
     ok = np.zeros((m, BRANCHES), dtype=np.bool_)
@@ -229,8 +229,8 @@ def branches(p: Array, q: Array) -> NDArray[np.int8]:
 
 @njit
 def out_of_reach(p: Array, given: Array, T: Array) -> Array:
-    """How far (n) [m] the wrist centre of flange poses T (n, 4, 4) is out of reach, with the redundant joint given (n) [rad];
-    0 within reach."""
+    """How far (n) [m] the wrist centre of flange poses T (n, 4, 4) is out of reach, with the redundant joint given (n)
+    [rad]; 0 within reach."""
     constant, amplitude, middle = _elbow_of(p)
     longest, shortest = np.sqrt(constant + amplitude), np.sqrt(max(constant - amplitude, 0.0))
     out = np.empty(T.shape[0])

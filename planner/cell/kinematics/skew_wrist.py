@@ -1,10 +1,10 @@
-"""Inverse kinematics of six-axis arms whose axes 4 and 6 pass each other, as Fanuc's CRX, Yaskawa's HC10 and ABB's GoFa.
+"""Inverse kinematics of six-axis arms whose axes 4 and 6 pass each other: Fanuc's CRX, Yaskawa's HC10, ABB's GoFa.
 
-Axes 2 and 3 are parallel; axis 4 is square to them and to axis 5, which it meets. Where axis 6 is does not matter. There is no
-closed form: `skew_wrist_kernel` searches over joint 1 and finds up to 16 postures for a pose. Such arms may be cuspidal:
-they can change from one posture into another without a singularity between, so a posture's number holds locally only. It
-changes in singularities, where the arm is stretched, where the wrist is above axis 1, and where of two postures
-that share a label the other one becomes the less singular.
+Axes 2 and 3 are parallel; axis 4 is square to them and to axis 5, which it meets. Axis 6 may lie anywhere. There is no
+closed form: `skew_wrist_kernel` searches over joint 1 and finds up to 16 postures per pose. Such arms may be cuspidal:
+they can move from one posture to another without passing a singularity, so a posture's number holds only locally. It
+changes at singularities, where the arm is stretched, where the wrist is above axis 1, and where, of two postures that
+share a label, the other one becomes the less singular.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from planner.cell.kinematics import skew_wrist_kernel as kernel
 from planner.cell.kinematics.axes import OtherGeometry, SixJoints, axes_at_zero
 from planner.cell.kinematics.chain import Chain
 
-_LEAST_OFFSET = 5e-3  # m by which axis 6 passes the meeting of 4 and 5; a wrist nearer than that is a spherical one
+_LEAST_OFFSET = 5e-3  # m by which axis 6 passes the point where 4 and 5 meet; with less, the wrist is a spherical one
 _LEAST_LENGTH = 1e-3  # m
 
 
 @dataclass(frozen=True)
 class SkewWrist(SixJoints):
-    """An arm by its own chain, and the geometry of the nearest one with right angles, where its postures are looked for.
+    """An arm's own chain, and the geometry of the nearest arm with right angles, for which postures are searched.
 
     geometry  (54), see `skew_wrist_kernel`
     """
@@ -52,7 +52,7 @@ class SkewWrist(SixJoints):
         """All postures q (m, 16, 6) in (-pi, pi] of flange poses (m, 4, 4), and which exist (m, 16).
 
         The index of a posture is its label: 4 wrist behind axis 1, 2 elbow bent the negative way, 1 for the sign of the
-        Jacobian's determinant beside these; of two postures that share it, 8 more for the one that is more singular.
+        Jacobian's determinant relative to these; of two postures that share a label, the more singular one has 8 more.
         """
         return kernel.solve_all(self.parameters, np.ascontiguousarray(T_base_flange))
 
@@ -62,7 +62,7 @@ class SkewWrist(SixJoints):
         return kernel.slots_of(self.parameters, self.chain.poses(q), q)
 
     def out_of_reach(self, T_base_flange: Array, redundant: Array | None = None) -> Array:
-        """By how much (m) axis 6 is further from the shoulder than the arm's lengths add up to [m]; 0 within."""
+        """By how much (m) axis 6 is farther from the shoulder than the arm's lengths add up to [m]; 0 within."""
         g = self.geometry
         h1, p1 = g[kernel.H1 :][:3], g[kernel.P1 :][:3]
         T_zero = g[kernel.T0 :][:16].reshape(4, 4)
@@ -93,19 +93,19 @@ def read_skew_wrist(chain: Chain) -> SkewWrist:
     d = float(np.linalg.norm(e))
     if d < _LEAST_OFFSET:
         raise OtherGeometry("axes 4, 5 and 6 meet in one point, or nearly so")
-    h4 = _square_to(h4, h2)  # as if square; the chain itself counts
+    h4 = _square_to(h4, h2)  # as if square; exact postures come from the chain itself
     h5 = _square_to(h5, h4)
     p1, h1 = lines.points[0], _square_to(h1, h2)
     p2 = lines.points[1] + ((p1 - lines.points[1]) @ h2) * h2
     p3 = lines.points[2] + ((C - lines.points[2]) @ h2) * h2
     upper = (p3 - p2) - ((p3 - p2) @ h2) * h2
     if min(np.linalg.norm(upper), np.linalg.norm(C - p3)) < _LEAST_LENGTH:
-        raise OtherGeometry("axes 2 and 3, or 3 and the wrist, are not apart")
+        raise OtherGeometry("axes 2 and 3, or axis 3 and the wrist, coincide")
     parts = [h1, h2, h4, h5, h6, p1, C, e, np.cross(h6, e / d), p2, upper, C - p3]
     return SkewWrist(chain, np.concatenate([*parts, T_zero.ravel(), [d, sense]]))
 
 
 def _square_to(direction: Array, other: Array) -> Array:
-    """The nearest unit direction (3) that is square to another."""
+    """The nearest unit direction (3) that is square to another direction."""
     direction = direction - (direction @ other) * other
     return np.asarray(direction / np.linalg.norm(direction))

@@ -1,21 +1,22 @@
 """All postures of an arm whose axes 4 and 6 pass each other, compiled: a search over joint 1, the rest in closed form.
 
-With rotations R_i(q_i) about the axes' directions h_i, as they stand at zero, a flange pose T and T_0 at zero, R the rotation
-of T T_0^-1 and X where it takes P, the point of axis 6 that is nearest to C, where axes 4 and 5 meet (e = P - C, d = |e|):
-axes 2 and 3 are parallel, so that of w = (R4 R5)^T h2, the direction of axis 2 seen from link 5, joint 1 alone tells
+Rotations R_i(q_i) are about h_i, the axes' directions at zero. The flange pose is T, and T_0 at zero; R is the rotation
+of T T_0^-1. C is where axes 4 and 5 meet, P the point of axis 6 nearest to C (e = P - C, d = |e|), and X where T T_0^-1
+takes P. Axes 2 and 3 are parallel, so joint 1 alone gives two components of w = (R4 R5)^T h2, the direction of axis 2
+seen from link 5:
 
     w . h6 = h2 . R1^T R h6,        w . e = h2 . (p1 + R1^T (X - p1) - C)
 
-and w, of unit length, is one of two (the sign of its third part). R6 turns R^T R1 h2 into w, R5 turns w square to h4 (two
-ways), R4 turns it into h2, what is left of R is R2 R3; and p3 - p2, which R2 turns, keeps its length L:
+As w has unit length, it is one of two (the sign of its third component). R6 turns R^T R1 h2 into w, R5 turns w square
+to h4 (two ways), R4 turns it into h2, and R2 R3 is what remains of R; and p3 - p2, which R2 turns, keeps its length L:
 
-    g = |(p1 + R1^T (X - p1) - R1^T R R6^T e) - p2 - R2 R3 (C - p3)|^2 - L^2 = 0,   of what is square to h2.
+    g = |(p1 + R1^T (X - p1) - R1^T R R6^T e) - p2 - R2 R3 (C - p3)|^2 - L^2 = 0,   of the parts square to h2.
 
-Where w exists, joint 1 runs through intervals, at whose ends both w are one: with q1 = middle - half cos(theta) and the sign
-of sin(theta), g is a smooth function on a circle, whose zeros are all postures. It is sampled as finely as the joints turn,
-zeros are bracketed, pairs of them looked for where |g| is least, and Newton's method on the arm itself makes them exact.
-Like the one-dimensional searches of Elias and Wen, "IK-Geo: unified robot inverse kinematics using subproblem
-decomposition", 2022, but on closed curves, so that none is lost where w ends.
+w exists on intervals of joint 1, at whose ends both solutions coincide: with q1 = middle - half cos(theta) and the sign
+of sin(theta), g is a smooth function on a circle, whose zeros are all postures. It is sampled as finely as the joints
+turn, zeros are bracketed, pairs of zeros are searched for where |g| is smallest, and Newton's method on the arm itself
+makes them exact. This is like the one-dimensional searches of Elias and Wen, "IK-Geo: unified robot inverse kinematics
+using subproblem decomposition", 2022, but on closed curves, so that no zero is lost where w ends.
 """
 
 from __future__ import annotations
@@ -40,23 +41,23 @@ H1, H2, H4, H5, H6, P1, C, E, F, P2, P23, P3C, T0 = 0, 3, 6, 9, 12, 15, 18, 21, 
 D, S3 = 52, 53
 
 _SEAM = -2.5  # rad: where circles begin, at neither end of an interval
-_STEPS = 40  # places of a circle at least
-_DOMAIN = 48  # places at which the ends of w are looked for
-_TURN = 0.35  # rad that directions turn at most from place to place
-_DEEPEST = 14  # halvings of a step
-_DEEPER = 3  # halvings of a step in which g falls to a part of 1 / _STEEP without a change of sign
+_STEPS = 40  # places on a circle, at least
+_DOMAIN = 48  # places at which the ends of w are searched for
+_TURN = 0.35  # rad: most that directions turn from one place to the next
+_DEEPEST = 14  # halvings of a step, at most
+_DEEPER = 3  # halvings, at most, of a step over which |g| changes by more than a factor _STEEP, but not its sign
 _STEEP = 3.0
-_MOST = 1024  # places of a circle at most
-_BESIDE = 3e-4  # rad to a pose beside one in which a joint is open
-_POLISH = 30  # steps of Newton's method; three do, more beside singularities
-_SAME = 1e-7  # rad: one posture found twice
-_TOUCHES = 1e-7  # of L^2: |g| at its least that may be a zero of two postures in one
+_MOST = 1024  # places on a circle, at most
+_BESIDE = 3e-4  # rad from a pose that leaves a joint undetermined to one next to it
+_POLISH = 30  # steps of Newton's method, at most; three suffice, more near singularities
+_SAME = 1e-7  # rad: closer postures are one, found twice
+_TOUCHES = 1e-7  # × L^2: a least |g| below this may be a double zero, of two postures that coincide
 
 
 class _Pose(NamedTuple):
-    """What a pose's curves share: the arm's parameters p and geometry g; the flange pose R_flange (3, 3), t_flange (3) that
-    postures have to have; R (3, 3) and X (3) of the pose that they are looked for at, and its lines (2, 3), see `_lines`; and
-    room: vectors (13, 3), a place (2, 10), and q (16, 6), which is filled."""
+    """Data that a pose's curves share: the arm's parameters p and geometry g; the flange pose R_flange (3, 3), t_flange
+    (3) that postures must have; R (3, 3) and X (3) of the pose at which they are searched for, and its lines (2, 3),
+    see `_lines`; and scratch: vectors room (13, 3), a place (2, 10), and q (16, 6), which is filled."""
 
     p: Array
     g: Array
@@ -71,7 +72,7 @@ class _Pose(NamedTuple):
 
 
 class _Curve(NamedTuple):
-    """A curve of a pose: closed over an interval of joint 1 with these ends (2), or all round, w on one side."""
+    """A curve of a pose: closed over an interval of joint 1 with these ends (2), or a full turn with w on one side."""
 
     closed: bool
     ends: Array
@@ -113,7 +114,7 @@ def _times(R: Array, v: Array, out: Array) -> None:
 
 @inner_njit
 def _on(curve: _Curve, theta: float) -> tuple[float, float]:
-    """Angle of joint 1 and sign of w's third part at a place of a curve."""
+    """Angle of joint 1 and sign of w's third component at a place on a curve."""
     if not curve.closed:
         return theta, curve.side
     low, high = curve.ends[0], curve.ends[1]
@@ -122,8 +123,8 @@ def _on(curve: _Curve, theta: float) -> tuple[float, float]:
 
 @inner_njit
 def _place(pose: _Pose, curve: _Curve, theta: float, out: Array) -> float:
-    """Fill out (2, 10) with what both ways of joint 5 give at a place of a curve: g, cosines and sines of joints 4, 5, 6 and
-    of the sum of 2 and 3; and room[11], room[12] with z, to which R2 turns p3 - p2. The angle of joint 1."""
+    """Fill out (2, 10), for both ways of joint 5 at a place on a curve, with g and the cosines and sines of joints 4,
+    5, 6 and of the sum of 2 and 3; and room[11], room[12] with z, to which R2 turns p3 - p2; return joint 1's angle."""
     g, R, X, lines, room = pose.g, pose.R, pose.X, pose.lines, pose.room
     q1, side = _on(curve, theta)
     h1, h2, h4, h5, h6 = g[H1 : H1 + 3], g[H2 : H2 + 3], g[H4 : H4 + 3], g[H5 : H5 + 3], g[H6 : H6 + 3]
@@ -186,7 +187,7 @@ def _place(pose: _Pose, curve: _Curve, theta: float, out: Array) -> float:
 
 @inner_njit
 def _posture(g: Array, q1: float, row: Array, z: Array, q: Array) -> None:
-    """Fill q (6) with the joints of a place on a curve."""
+    """Fill q (6) with the joints at a place on a curve."""
     h2, p23 = g[H2 : H2 + 3], g[P23 : P23 + 3]
     across = (
         h2[0] * (p23[1] * z[2] - p23[2] * z[1])
@@ -222,7 +223,7 @@ def _lines(g: Array, R: Array, X: Array, room: Array, lines: Array) -> None:
 
 @inner_njit
 def _left(lines: Array, q1: float) -> float:
-    """Square of the third part of w."""
+    """Square of the third component of w."""
     c, s = np.cos(q1), np.sin(q1)
     a = lines[0, 0] + lines[0, 1] * c + lines[0, 2] * s
     b = lines[1, 0] + lines[1, 1] * c + lines[1, 2] * s
@@ -231,7 +232,7 @@ def _left(lines: Array, q1: float) -> float:
 
 @inner_njit
 def _slope(lines: Array, q1: float) -> float:
-    """Its slope by q1, halved and negated."""
+    """Derivative of `_left` with respect to q1, halved and negated."""
     c, s = np.cos(q1), np.sin(q1)
     a = lines[0, 0] + lines[0, 1] * c + lines[0, 2] * s
     b = lines[1, 0] + lines[1, 1] * c + lines[1, 2] * s
@@ -240,7 +241,7 @@ def _slope(lines: Array, q1: float) -> float:
 
 @inner_njit
 def _between(lines: Array, slope: bool, low: float, high: float) -> float:
-    """A zero of `_left` or `_slope` between two places where its signs differ (bisection, to rounding)."""
+    """A zero of `_left` or `_slope` between two places where its signs differ, by bisection down to rounding."""
     first = _slope(lines, low) if slope else _left(lines, low)
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -256,10 +257,10 @@ def _between(lines: Array, slope: bool, low: float, high: float) -> float:
 
 @inner_njit
 def _intervals(lines: Array, ends: Array) -> tuple[int, bool]:
-    """Fill ends (4, 2) with the intervals of joint 1 in which w exists; their number, or -1 if it always does, and whether
-    one is about to begin, to end or to part.
+    """Fill ends (4, 2) with the intervals of joint 1 in which w exists; return their number, or -1 if it always exists,
+    and whether one is about to appear, to vanish or to split.
 
-    Between places where its slope changes sign the square of w's third part is monotonic.
+    Between places where its slope changes sign, the square of w's third component is monotonic.
     """
     marks = np.empty(_DOMAIN + 2)
     count = 0
@@ -297,7 +298,7 @@ def _intervals(lines: Array, ends: Array) -> tuple[int, bool]:
 
 @inner_njit
 def _far(one: Array, two: Array) -> bool:
-    """Whether any angle differs by more than a step may."""
+    """Whether any angle differs by more than one step allows."""
     for way in range(2):
         for k in range(1, 9, 2):
             if one[way, k] * two[way, k] + one[way, k + 1] * two[way, k + 1] < 1.0 - 0.5 * _TURN * _TURN:
@@ -307,7 +308,7 @@ def _far(one: Array, two: Array) -> bool:
 
 @inner_njit
 def _steep(one: Array, two: Array) -> bool:
-    """Whether g falls so much without a change of sign that there may be two zeros between."""
+    """Whether |g| changes so much without a change of sign that there may be two zeros between."""
     for way in range(2):
         low, high = min(abs(one[way, 0]), abs(two[way, 0])), max(abs(one[way, 0]), abs(two[way, 0]))
         if high > _STEEP * low and (one[way, 0] > 0.0) == (two[way, 0] > 0.0):
@@ -317,8 +318,8 @@ def _steep(one: Array, two: Array) -> bool:
 
 @inner_njit
 def _places(pose: _Pose, curve: _Curve, at: Array, rows: Array) -> tuple[int, bool]:
-    """Fill at (n) and rows (n, 2, 10) with places all along a curve, as near to each other as the joints turn; n, and whether
-    a joint turns too quickly for that."""
+    """Fill at (n) and rows (n, 2, 10) with places all along a curve, as close together as the joints' turning requires;
+    return n, and whether a joint turns too quickly for that."""
     step = 2.0 * np.pi / _STEPS
     stack, results = np.empty(_DEEPEST + 2), np.empty((_DEEPEST + 2, 2, 10))
     at[0] = _SEAM
@@ -351,7 +352,7 @@ def _places(pose: _Pose, curve: _Curve, at: Array, rows: Array) -> tuple[int, bo
 
 @inner_njit
 def _keep(pose: _Pose, way: int, q1: float, count: int) -> int:
-    """Make the posture of `pose.place` exact, and keep it if it can be and is a new one; how many there are."""
+    """Make the posture of `pose.place` exact, and keep it if that succeeds and it is new; return how many there are."""
     q, p = pose.q, pose.p
     if count >= q.shape[0]:
         return count
@@ -374,10 +375,10 @@ def _keep(pose: _Pose, way: int, q1: float, count: int) -> int:
 
 @inner_njit
 def all_postures(p: Array, R_flange: Array, t_flange: Array, q: Array) -> int:
-    """Fill q (16, 6) with all postures, in (-pi, pi], for one flange pose, rotation (3, 3) and origin (3); their number.
+    """Fill q (16, 6) with all postures in (-pi, pi] for one flange pose, rotation (3, 3) and origin (3); their number.
 
-    Where axis 5 or 6 is parallel to axis 2, as in the arm's own plane, w leaves joint 5 or 6 open: then also those of poses
-    beside this one are found, and made exact for it.
+    Where axis 5 or 6 is parallel to axis 2, as in the arm's own plane, w leaves joint 5 or 6 undetermined: then the
+    postures of poses next to this one are found as well, and made exact for it.
     """
     asked, beside, turned = np.empty((4, 3)), np.empty((4, 3)), np.empty(3)  # rotation and origin
     for i in range(3):
@@ -386,7 +387,7 @@ def all_postures(p: Array, R_flange: Array, t_flange: Array, q: Array) -> int:
         asked[3, i] = t_flange[i]
     count, open_ = _postures(p, asked, asked, q, np.int64(0))
     if open_:
-        axis = np.array((0.48, -0.6, 0.64))  # none of an arm's
+        axis = np.array((0.48, -0.6, 0.64))  # not an axis of any arm
         for away in (_BESIDE, -2.0 * _BESIDE):
             for j in range(3):
                 _turned(axis, np.cos(away), np.sin(away), R_flange[:, j], turned)
@@ -400,8 +401,8 @@ def all_postures(p: Array, R_flange: Array, t_flange: Array, q: Array) -> int:
 
 @inner_njit
 def _postures(p: Array, beside: Array, asked: Array, q: Array, count: int) -> tuple[int, bool]:
-    """Add to q the postures of a pose (4, 3), rotation and origin, made exact for another one; their number, and whether a
-    joint is nearly open."""
+    """Add to q the postures of a pose (4, 3), rotation and origin, made exact for another pose, `asked`; return their
+    number, and whether a joint is nearly undetermined."""
     g = p[CHAIN:]
     room, lines = np.empty((13, 3)), np.empty((2, 3))
     R, X, ends = np.empty((3, 3)), np.empty(3), np.empty((4, 2))
@@ -441,7 +442,7 @@ def _postures(p: Array, beside: Array, asked: Array, q: Array, count: int) -> tu
 def _zero(
     pose: _Pose, curve: _Curve, way: int, at: tuple[float, float], values: tuple[float, float], count: int
 ) -> int:
-    """Keep the posture between two places of a curve where the signs of g differ (Illinois' method)."""
+    """Keep the posture between two places of a curve where the signs of g differ (Illinois method)."""
     low, high = at
     f_low, f_high = values
     last, q1 = 0, 0.0
@@ -470,11 +471,11 @@ def _zero(
 def _pair(
     pose: _Pose, curve: _Curve, way: int, at: tuple[float, float, float], values: tuple[float, float, float], count: int
 ) -> int:
-    """Keep both postures, or the one in which they meet, around the place between others where |g| is least, if there are any."""
+    """Keep both postures, or the one in which they coincide, around the middle place, where |g| is least, if any."""
     low, middle, high = at
     f_low, f_middle, f_high = values
     sign = 1.0 if f_middle > 0.0 else -1.0
-    # how deep a parabola through the three would go, and more, for g is none
+    # how far a parabola through the three would fall, and some more, since g is not one
     one, two = (f_middle - f_low) / (middle - low), (f_high - f_middle) / (high - middle)
     bend = (two - one) / (high - low)
     slope = one + bend * (middle - low)
@@ -482,7 +483,7 @@ def _pair(
     if abs(f_middle) > 4.0 * fall + max(abs(f_low - f_middle), abs(f_high - f_middle)):
         return count
     for _ in range(40):
-        # of both sides the wider one, by the golden section, unless a parabola knows better
+        # a golden section of the wider side, unless a parabola gives a better place
         left = middle - low > high - middle
         theta = middle - 0.381966 * (middle - low) if left else middle + 0.381966 * (high - middle)
         one, two = (f_middle - f_low) / (middle - low), (f_high - f_middle) / (high - middle)
@@ -516,15 +517,15 @@ def _pair(
 
 
 # ----------------------------------------------------------------------------------------------------
-# Which slot a posture has: its label, and of postures of one label the less singular one first.
+# The slot of a posture: its label, and of postures that share a label, the less singular one first.
 
 
 @inner_njit
 def label_of(p: Array, q: Array, lines: Array, T: Array, J: Array, A: Array) -> tuple[int, float]:
-    """Label of a posture q (6), and |det| of its Jacobian; lines (2, 6, 3), T (4, 4), J, A (6, 6) are room.
+    """Label of a posture q (6), and |det| of its Jacobian; lines (2, 6, 3), T (4, 4), J, A (6, 6) are scratch.
 
-    Behind axis 1 and elbow as of C, where axes 4 and 5 meet; the third bit is what the sign of the determinant adds to them,
-    which of a spherical wrist is the sign of joint 5.
+    Behind axis 1 and elbow refer to C, where axes 4 and 5 meet; the third bit is what the determinant's sign adds to
+    them: for a spherical wrist, the sign of joint 5.
     """
     placements, axes = p[: 16 * 6].reshape(6, 4, 4), p[16 * 6 : 22 * 6].reshape(6, 6)
     chain_state(placements, axes, p[22 * 6 : CHAIN].reshape(4, 4), q, lines[0], lines[1], T)
@@ -554,7 +555,7 @@ def label_of(p: Array, q: Array, lines: Array, T: Array, J: Array, A: Array) -> 
 
 @inner_njit
 def _determinant(J: Array, A: Array) -> float:
-    """Determinant of J (6, 6); A (6, 6) is room."""
+    """Determinant of J (6, 6); A (6, 6) is scratch."""
     for i in range(6):
         for j in range(6):
             A[i, j] = J[i, j]
@@ -582,7 +583,7 @@ def _determinant(J: Array, A: Array) -> float:
 def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Fill q (16, 6) and ok (16) with the postures for one flange pose, rotation R (3, 3) and origin t (3).
 
-    The index of a posture is its label; of a label's second, less singular one 8 more; a third has any index that is free.
+    The index of a posture is its label, plus 8 for a label's second, more singular one; a third gets any free index.
     """
     found = np.empty((SLOTS, 6))
     ok[:] = False
@@ -591,7 +592,7 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
     lines, T, J, A = np.empty((2, 6, 3)), np.empty((4, 4)), np.empty((6, 6)), np.empty((6, 6))
     for k in range(count):
         labels[k], dets[k] = label_of(p, found[k], lines, T, J, A)
-    for late in range(2):  # those of which there are more than two come last
+    for late in range(2):  # third and further postures of a label come last
         for k in range(count):
             rank = 0
             for other in range(count):
@@ -621,14 +622,14 @@ def solve_all(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 @njit
 def slots_of(p: Array, T: Array, q: Array) -> NDArray[np.int8]:
-    """Slots (m) of postures q (m, 6), whose flange poses are T (m, 4, 4): of the nearest of all postures of the pose."""
+    """Slots (m) of postures q (m, 6), whose flange poses are T (m, 4, 4): those of the nearest of a pose's postures."""
     out = np.empty(q.shape[0], dtype=np.int8)
     found, ok = np.empty((SLOTS, 6)), np.empty(SLOTS, dtype=np.bool_)
     lines, own, J, A = np.empty((2, 6, 3)), np.empty((4, 4)), np.empty((6, 6)), np.empty((6, 6))
     for i in range(q.shape[0]):
         solve_one(p, T[i, :3, :3], T[i, :3, 3], found, ok)
         label, _ = label_of(p, q[i], lines, own, J, A)
-        out[i], least = label, 1e-3  # rad: beside a singularity two postures are as near to each other
+        out[i], least = label, 1e-3  # rad: near a singularity, two postures are this close together
         for k in range(SLOTS):
             if ok[k]:
                 apart = 0.0

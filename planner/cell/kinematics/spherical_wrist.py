@@ -15,11 +15,11 @@ from planner.cell.kinematics.chain import Chain
 # ----------------------------------------------------------------------------------------------------
 # The Jacobian of a spherical-wrist arm, and its inverse, in closed form, compiled.
 #
-# Where three axes meet, joints 1 to 3 alone move that point and joints 4 to 6 only turn about it: the Jacobian there is
-# block triangular, and both blocks are those of a few lines and angles. Symbols are those of `spherical_wrist`.
+# Joints 1 to 3 alone move the point where the last three axes meet, and joints 4 to 6 only turn about it: the Jacobian
+# there is block triangular, and both blocks take only a few lines and angles. Symbols as in the closed form below.
 
 Ten = tuple[float, float, float, float, float, float, float, float, float, float]
-_SINGULAR = 1e-12  # m, m^2 or sine: what must not vanish is no more than rounding
+_SINGULAR = 1e-12  # m, m^2 or sine: a divisor below this is mere rounding
 
 
 @inner_njit
@@ -34,14 +34,14 @@ def sines_of(q: Array) -> Ten:
 
 @inner_njit
 def jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> None:
-    """Fill out (6, 6): the twist of a joint's rate, linear part first; arguments as in `inverse_jacobian`."""
+    """Fill out (6, 6) with the twist for each joint's rate, linear part first; arguments as in `inverse_jacobian`."""
     a1, a2, b, c1, c2, c3 = p[0], p[1], p[2], p[3], p[4], p[5]
     s1, co1, s2, co2, s23, c23, s4, c4, s5, c5 = sines
     r2, z2 = c2 * s2, c2 * co2
     r3, z3 = a1 + r2 + c3 * s23 + a2 * c23, c1 + z2 + c3 * c23 - a2 * s23  # the wrist's centre
     r, t, z = co1 * tip[0] + s1 * tip[1], co1 * tip[1] - s1 * tip[0], tip[2]
     six_r, six_t, six_z = s5 * c4 * c23 + c5 * s23, s5 * s4, c5 * c23 - s5 * c4 * s23
-    # along r, t and z: a direction of each axis, and the way from a point of it to the tip
+    # along r, t and z: the direction of each axis, and the vector from a point on it to the tip
     lines = (
         (0.0, 0.0, 1.0, r, t, z),
         (0.0, 1.0, 0.0, r - a1, t, z - c1),
@@ -59,10 +59,10 @@ def jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> None:
 
 @inner_njit
 def inverse_jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> bool:
-    """Fill out (6, 6): rates of the joints for a twist, linear part first; it is in the arm's base frame.
+    """Fill out (6, 6) with the joints' rates for a twist in the arm's base frame, linear part first.
 
-    p (7) lengths [m]; sines of the posture; tip (3) the point that moves with the flange, in that frame. False if the arm
-    is singular to rounding.
+    p (7) lengths [m]; sines of the posture; tip (3) the point that moves with the flange, in the base frame. False if
+    the arm is singular to rounding.
     """
     a1, a2, b, c1, c2, c3 = p[0], p[1], p[2], p[3], p[4], p[5]
     s1, co1, s2, co2, s23, c23, s4, c4, s5, c5 = sines
@@ -85,7 +85,7 @@ def inverse_jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> bool:
     t_1 = 1.0 / radial
     t_2, t_3 = b * t_1 * r_2, b * t_1 * r_3
     z_2, z_3 = -z3 / plane, z2 / plane
-    # and of 4 to 6, which undo the turn that comes with that
+    # and of joints 4 to 6, which undo the rotation that comes with that
     back_r, back_t, back_z = -(r_2 + r_3), -(t_2 + t_3), -(z_2 + z_3)
     inv5 = 1.0 / s5
     r_5, r_6 = v_t * back_r, u_t * back_r * inv5
@@ -121,7 +121,7 @@ def inverse_jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> bool:
 
 BRANCHES = 8
 BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE = 4, 2, 1  # the bits of a branch number are those of ABB's cfx
-ALL_ROUND = 1e3  # rad: from -ALL_ROUND to ALL_ROUND is a range that bounds nothing
+ALL_ROUND = 1e3  # rad: a range from -ALL_ROUND to ALL_ROUND is no bound
 _STRAIGHT_WRIST = 1e-9  # rad; below it only q4 + q6 is defined, and q4 is set to 0
 
 
@@ -159,7 +159,7 @@ class SphericalWrist(SixJoints):
         """All eight postures q (m, 8, 6) in (-pi, pi] of flange poses (m, 4, 4), and which exist (m, 8).
 
         The index of a posture is its branch number: 4 wrist centre behind axis 1, 2 behind the lower arm,
-        1 axis 5 negative. Joint limits are not looked at. With a straight wrist q4 is 0.
+        1 axis 5 negative. Joint limits are not checked. With a straight wrist, q4 is 0.
         """
         return _solve(self.parameters, np.ascontiguousarray(T_base_flange))
 
@@ -194,8 +194,8 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
 def solve_within(
     p: Array, R: Array, t: Array, low: Array, high: Array, wanted: NDArray[np.bool_], q: Array, ok: NDArray[np.bool_]
 ) -> None:
-    """Fill q (8, 6) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3): of the branches
-    that are wanted (8), those whose first three joints may stand within low and high (6) [rad]. Angles are not wrapped.
+    """Fill q (8, 6) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3): those of the
+    wanted branches (8) whose first three joints can lie within low and high (6) [rad]. Angles are not wrapped.
     """
     a1, a2, b, c1, c2, c3, c4 = p[0], p[1], p[2], p[3], p[4], p[5], p[6]
     ok[:] = False
@@ -259,7 +259,7 @@ def solve_within(
 
 @inner_njit
 def _may_stand(angle: float, low: float, high: float) -> bool:
-    """Whether an angle, turned as near to the middle as whole turns bring it, lies within a range."""
+    """Whether an angle, shifted by whole turns as near to the middle as possible, lies within a range."""
     away = angle - 0.5 * (low + high)
     return abs(away - TURN * np.rint(away / TURN)) <= 0.5 * (high - low)
 
@@ -287,7 +287,7 @@ def pose_one(p: Array, q: Array, T: Array) -> None:
     s4, c4_ = np.sin(q[3]), np.cos(q[3])
     s5, c5 = np.sin(q[4]), np.cos(q[4])
     s6, c6 = np.sin(q[5]), np.cos(q[5])
-    # rows of the arm's rotation by columns of the wrist's; written out, for products and slices take long to compile
+    # rows of the arm's rotation by columns of the wrist's; written out, since products and slices compile slowly
     arm = ((co1 * c23, -s1, co1 * s23), (s1 * c23, co1, s1 * s23), (-s23, 0.0, c23))
     wrist = (
         (c4_ * c5 * c6 - s4 * s6, s4 * c5 * c6 + c4_ * s6, -s5 * c6),

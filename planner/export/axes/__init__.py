@@ -1,1 +1,1 @@
-"""G-code of machines with five or six axes: inverse kinematics, writer, reader, and check against the plan."""
+"""G-code for machines with five or six axes: inverse kinematics, writer, reader, and check against the plan."""

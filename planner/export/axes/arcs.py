@@ -1,4 +1,4 @@
-"""Circular moves in the XY plane, in G-code: where they take the place of lines, how they are written and read."""
+"""Circular moves in the XY plane in G-code: where they replace lines, and how they are written and read."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from planner.export.arcs import segments
 from planner.export.axes.machine import Followed
 from planner.export.primitives import LEAST_CHORD, LEAST_SWEPT, MOST_SWEPT
 
-LEAST_LINES = 2  # that an arc takes the place of
-MOST_LINES = 256  # likewise: bounds the work, not the print
-STEADY = 0.5e-9  # m, rad between two samples of an axis that rests: rounding, which stays below what is written
-SAME_PLACE = 0.05e-6  # m between the ends of an arc: half a unit of what is written
-RADII_APART = 0.5e-6  # m between an arc's radii at both ends; rounding makes 0.3 um at most
+LEAST_LINES = 2  # that an arc replaces
+MOST_LINES = 256  # likewise; bounds the work, not the print
+STEADY = 0.5e-9  # [m, rad] between two samples of an axis at rest: rounding, which is finer than the numbers written
+SAME_PLACE = 0.05e-6  # [m] between the ends of an arc: half of the last decimal written
+RADII_APART = 0.5e-6  # [m] between an arc's radii at both ends; rounding gives at most 0.3 um
 
 
 def centre_and_swept(begin: Array, via: Array, end: Array) -> tuple[Array, float]:
     """Centre (2) and angle, positive anticlockwise [rad], of the arc in XY through three points (2 or 3).
 
-    The angle is 0 where the points lie on a line.
+    The angle is 0 if the points are collinear.
     """
     three = np.zeros((3, 3))
     three[:, :2] = begin[:2], via[:2], end[:2]
@@ -30,7 +30,7 @@ def centre_and_swept(begin: Array, via: Array, end: Array) -> tuple[Array, float
 
 
 def via_point(begin: Array, end: Array, centre: Array, clockwise: bool) -> Array | None:
-    """The middle (2) of an arc in XY as G2 (clockwise) and G3 have it; None where there is no such arc."""
+    """The middle (2) of an arc in XY as given by G2 (clockwise) or G3; None if there is no such arc."""
     a, b = begin - centre, end - centre
     if abs(np.hypot(*a) - np.hypot(*b)) > RADII_APART or np.allclose(a, b, atol=SAME_PLACE):
         return None
@@ -44,11 +44,11 @@ def via_point(begin: Array, end: Array, centre: Array, clockwise: bool) -> Array
 def with_arcs(
     motion: Followed, at: Indices, must: Indices, tolerance: tuple[float, float, float]
 ) -> tuple[Indices, Array]:
-    """Fewer targets: those of lines `at` (sorted), without those that arcs make needless; and points on the arcs' way.
+    """Fewer targets: those of lines `at` (sorted), without those that arcs make redundant; and the arcs' via points.
 
     must       targets that stay, sorted
-    tolerance  chord [m], filament [m], time [s] that an arc may miss a sample by
-    Returns samples (m) and points (m, 3) X Y Z of the move that ends there, NaN for lines.
+    tolerance  chord [m], filament [m], time [s] by which an arc may miss a sample
+    Returns samples (m) and via points (m, 3) X Y Z of the moves that end there, NaN for lines.
     """
     level = _level(motion)
     edges = np.searchsorted(at, must)
@@ -65,7 +65,7 @@ def with_arcs(
 
 
 def _level(motion: Followed) -> Indices:
-    """For each sample the last one up to which nothing moves but X, Y and filament."""
+    """For each sample, the last one up to which only X, Y and filament move."""
     others = np.column_stack([motion.straight[:, 2:], motion.angles, motion.station])
     moves = np.flatnonzero((np.abs(np.diff(others, axis=0)) > STEADY).any(axis=1))
     ends = np.append(moves, len(motion) - 1)
@@ -76,7 +76,7 @@ def _level(motion: Followed) -> Indices:
 def _longest(
     motion: Followed, at: Indices, i: int, end: int, tolerance: tuple[float, float, float]
 ) -> tuple[int, Array]:
-    """The target that the longest arc from target i reaches, and its via point; the next target where there is none."""
+    """The target that the longest arc from target i reaches, and its via point; the next target if there is no arc."""
     best, via, reach = i + 1, np.full(3, np.nan), min(i + LEAST_LINES, end)
     high = end + 1
     while high - best > 1:
@@ -85,13 +85,13 @@ def _longest(
             high = reach
         else:
             best, via = reach, found
-        # twice as far each time while it fits, then halving what is left
+        # doubling while it fits, then bisection
         reach = min(2 * best - i, end) if high > end else (best + high) // 2
     return best, via
 
 
 def _arc(motion: Followed, a: int, b: int, tolerance: tuple[float, float, float]) -> Array | None:
-    """Via point (3) of the arc that meets samples a to b, and the middles between them; None where none does."""
+    """Via point (3) of the arc that meets samples a to b and the midpoints between them; None if there is none."""
     p, t, feed = motion.straight[a : b + 1], motion.t[a : b + 1], motion.feed[a : b + 1]
     chord, filament, late = tolerance
     path = arc_lengths(p)

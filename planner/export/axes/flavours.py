@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from planner.problem.settings import MachineSpec
 
 #
-# LinuxCNC knows no heaters and fans. Its M100 to M199 run programs of the user's with two numbers, P and Q, so the
-# codes of printers within these keep their number there: S becomes Q, and what is numbered (P, T) P.
+# LinuxCNC knows no heaters or fans. Its M100 to M199 run user programs with two numbers, P and Q, so printers' codes in
+# that range keep their number there: S becomes Q, and the number of a device (P, T) becomes P.
 
-USERS_OWN = range(100, 200)  # M-codes of LinuxCNC that run a program of the user's
+USERS_OWN = range(100, 200)  # M-codes of LinuxCNC that run a user's program
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Flavour:
     suffix     of the file's name
     relative   filament is counted from line to line, not from the start
     unit       of a pause's P [s]
-    pauses     how they are written
-    begin, end lines of the program
-    order      the controller's own line for one of a RepRapFirmware board; None where it has none
+    pause      format of a pause
+    begin, end first and last lines of the program
+    order      RepRapFirmware line → the controller's own line for it; None if it has none
     """
 
     suffix: str
@@ -40,7 +40,7 @@ class Flavour:
 
 
 def _linuxcnc_order(line: str) -> str | None:
-    """The line for LinuxCNC, where tool 0 is none."""
+    """The line for LinuxCNC, where tool 0 means no tool."""
     words = line.split(" ")
     if re.fullmatch(r"T\d+", words[0]):
         return f"{words[0]} M6" if words[0] != "T0" else None
@@ -65,7 +65,7 @@ FLAVOURS = {
         relative=True,
         unit=1e-3,
         pause="G4 P{:.0f}",
-        # M203 I: the least speed, also under G93, is 0.5 mm/s (30 mm/min) unless set, and 0.01 mm/s is the lowest
+        # M203 I: the least speed, also under G93, is 0.5 mm/s (30 mm/min) unless set; 0.01 mm/s is the lowest
         begin=("G21", "G90", "M203 I0.6", "M83"),
         end=("M400",),
         order=lambda line: line,
@@ -74,10 +74,10 @@ FLAVOURS = {
 
 
 def feed_length(flavour: str, moved: Mapping[str, float]) -> float:
-    """What F counts per minute on a line that moves axes by so much [mm, deg], by letter: the controller's own rule.
+    """The length that F refers to, per minute, on a line that moves axes by given amounts [mm, deg], by letter.
 
-    Both count X, Y and Z alone where these move. Where they rest, LinuxCNC counts U, V, W, and only then A, B, C;
-    RepRapFirmware all that turn, and only then filament.
+    This is the controllers' own rule: if X, Y or Z moves, both count these alone. Otherwise LinuxCNC counts U, V, W,
+    and only then A, B, C; RepRapFirmware counts all rotary axes, and only then filament.
     """
     groups = ("XYZ", "UVW", "ABC") if flavour == "linuxcnc" else ("XYZ", "ABCUVW", "E")
     lengths = (math.hypot(*(moved.get(letter, 0.0) for letter in group)) for group in groups)
@@ -85,8 +85,8 @@ def feed_length(flavour: str, moved: Mapping[str, float]) -> float:
 
 
 def arcs_said(spec: MachineSpec) -> bool:
-    """Whether arcs can be told with their time.
+    """Whether arcs can be given with their time.
 
-    RepRapFirmware cuts them into lines itself; what it makes of a whole arc's inverse time is not documented.
+    RepRapFirmware cuts them into lines itself; how it treats a whole arc's inverse time is not documented.
     """
     return spec.flavour == "linuxcnc" or spec.feed == "per_minute"

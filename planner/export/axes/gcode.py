@@ -1,4 +1,4 @@
-"""G-code of machines with five or six axes: writer, reader, and check against the plan."""
+"""G-code for machines with five or six axes: writer, reader, and check against the plan."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
     from planner.problem.settings import MachineSpec
 
 # ----------------------------------------------------------------------------------------------------
-# The fewest targets between which axes that move evenly keep the tip on its path.
+# The fewest targets between which evenly moving axes keep the tip on its path.
 
-FILAMENT_TOLERANCE = 5e-6  # m of filament that a line may be ahead or behind
-STILL = 1e-7  # m, rad by which nothing moves
+FILAMENT_TOLERANCE = 5e-6  # [m] of filament by which a line may be ahead or behind
+STILL = 1e-7  # [m, rad] per sample; an axis that moves less stands still
 BOARD = "reprap"  # firmware whose orders the flavours translate
 
 
 def kept(plan: Plan, motion: Followed, due: Array) -> tuple[Indices, Array]:
-    """Samples of the motion that become targets (m), the first and the last among them; points on the way of arcs.
+    """Samples of the motion that become targets (m), including the first and the last; and via points of arcs.
 
-    The points (m, 3) are X Y Z [m] of the move that ends at each target, NaN where it is a line.
+    The via points (m, 3) are X Y Z [m] for the move that ends at each target, NaN if it is a line.
 
-    due: times [s] at which orders to the board stand between moves.
+    due: times [s] at which orders to the board are placed between moves.
     """
     n = len(motion)
     must = np.zeros(n, dtype=bool)
@@ -71,7 +71,7 @@ def kept(plan: Plan, motion: Followed, due: Array) -> tuple[Indices, Array]:
 
 
 class _Misfit:
-    """How far even motion of all axes between two samples misses a third, in tolerances."""
+    """How far even motion of all axes between two samples misses a third one, in tolerances."""
 
     def __init__(self, plan: Plan, motion: Followed) -> None:
         self._m = motion
@@ -94,24 +94,24 @@ class _Misfit:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Writer: every line moves all axes at once, in the time of the plan.
+# Writer: every line moves all axes together, in the plan's time.
 
-DECIMALS = 4  # of mm and of degrees: 0.1 um, and as little at a metre's distance
-FILAMENT_DECIMALS = 5  # mm
-LEAST_PAUSE = 1e-3  # s
-SHORTEST = 1e-5  # s of a move: near a direction that leaves an axis free it may turn as far as it can in no time
-FAST = 60.0  # s per minute
+DECIMALS = 4  # of mm (0.1 um) and of degrees
+FILAMENT_DECIMALS = 5  # of mm
+LEAST_PAUSE = 1e-3  # [s]
+SHORTEST = 1e-5  # [s] of a move: near a direction that leaves an axis free, that axis may turn any angle in no time
+FAST = 60.0  # [s] per minute
 LONGEST_COMMENT = 150
 
 
 def file_name(plan: Plan) -> str:
-    """Name of the file, another one than the extruder's."""
+    """Name of the file, different from the extruder's."""
     name = f"{plan.name}.{FLAVOURS[spec_of(plan).flavour].suffix}"
     return f"print_{name}" if name.lower() == FILE else name
 
 
 def axes_gcode(plan: Plan) -> str:
-    """The whole print for the machine of `program.machine`; InputError where it cannot make the motion."""
+    """The whole print for the machine in `program.machine`; InputError if it cannot perform the motion."""
     spec = spec_of(plan)
     flavour = FLAVOURS[spec.flavour]
     motion = follow(plan)
@@ -130,7 +130,7 @@ def write(plan: Plan) -> dict[str, str]:
 
 
 def letters_of(plan: Plan, motion: Followed) -> tuple[str, ...]:
-    """Letters of all axes but the filament's, in the order in which they are written."""
+    """Letters of all axes except the filament's, in the order in which they are written."""
     return ("X", "Y", "Z", *motion.machine.letters, *STATION[: motion.station.shape[1]])
 
 
@@ -173,7 +173,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
 
 
 def _fastest(motion: Followed) -> str:
-    """How fast the axes would have to turn for the planned times to hold."""
+    """How fast the axes must turn to keep the planned times, in words."""
     lasts = np.maximum(np.diff(motion.t), SHORTEST)
     rates = np.degrees((np.abs(np.diff(motion.angles, axis=0)) / lasts[:, None]).max(axis=0, initial=0.0))
     names = (f"{letter} up to {rate:.0f} deg/s" for letter, rate in zip(motion.machine.letters, rates, strict=True))
@@ -181,7 +181,7 @@ def _fastest(motion: Followed) -> str:
 
 
 def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Followed) -> list[str]:
-    """Modes, and the way to the first target: up, across, and down on machines whose axes are not the robot's."""
+    """Modes, and the way to the first target; on machines other than the robot: up, across, and down."""
     lines = [*flavour.begin, *_selected(spec, first_tool(plan))]
     if spec.flavour == "linuxcnc":
         lines.append(f"G64 P{plan.problem.program.chord * 1e3:.4f}")
@@ -189,7 +189,7 @@ def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Follow
     lines += [spec.tcp_on] if spec.tcp else []
     first = dict(zip(letters_of(plan, motion), _rows(motion, np.array([0]))[0].tolist(), strict=True))
     if isinstance(motion.machine, FiveAxes):
-        # with tcp Z is the tip's, of which the machine's limits say nothing
+        # with tcp, Z is the tip's, to which the machine's limits do not apply
         most = np.inf if spec.tcp else float(motion.machine.greatest[2])
         high = min(float(motion.straight[:, 2].max()) + plan.problem.process.lift, most) * 1e3
         across = " ".join(f"{name}{number(value, DECIMALS)}" for name, value in first.items() if name != "Z")
@@ -200,17 +200,17 @@ def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Follow
 
 
 def first_tool(plan: Plan) -> int | None:
-    """The tool that a print of one material selects before all else; None where its materials have names."""
+    """The tool that a print of one material selects first of all; None if its materials have names."""
     return None if materials_of(plan.problem) else plan.problem.program.board.first_tool
 
 
 def _selected(spec: MachineSpec, tool: int | None) -> list[str]:
-    """The line that selects a tool before the first move, where filament cannot be pushed without."""
+    """The line that selects a tool before the first move, if filament cannot be pushed without one."""
     return [select(BOARD, tool)] if tool is not None and spec.flavour == "reprap" else []
 
 
 def _rows(motion: Followed, at: NDArray[np.intp]) -> Array:
-    """All axes but the filament's at samples, rounded as written [mm, deg]."""
+    """All axes except the filament's at samples, rounded as written [mm, deg]."""
     turning = np.degrees(np.column_stack([motion.angles[at], motion.station[at]]))
     return np.round(np.column_stack([motion.straight[at] * 1e3, turning]), DECIMALS) + 0.0
 
@@ -233,7 +233,7 @@ def _lines(plan: Plan, motion: Followed, at: NDArray[np.intp], via: Array, waiti
         a, b = rows[i - 1], rows[i]
         circular = not np.isnan(via[i, 0])
         if circular:
-            b[2:] = a[2:]  # they rest, but for what rounds the other way
+            b[2:] = a[2:]  # these rest; rounding might still differ
         own = int(bead[at[i]])
         if laid[at[i]] and own != last:
             lines.append(f"; bead {own}, layer {layer[at[i]]}")
@@ -268,13 +268,13 @@ def _lines(plan: Plan, motion: Followed, at: NDArray[np.intp], via: Array, waiti
 
 
 def feed_word(rate: float) -> str:
-    """F of a line, by which it ends within 3 ms of its time, also where it lasts for minutes."""
+    """F of a line, precise enough for it to end within 3 ms of its time, even if it lasts for minutes."""
     digits = 4 if rate >= 1.0 else 8
     return f"F{max(rate, 10.0**-digits):.{digits}f}"
 
 
 def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
-    """Lines of an order for this controller, and how long its pauses take [s]; ValueError where it has no such line."""
+    """Lines of an order for this controller, and how long its pauses take [s]; ValueError if it has no such line."""
     lines = [ascii_comment(";", order.words, longest=LONGEST_COMMENT)]
     for line in order.lines:
         if line.startswith(";"):
@@ -285,7 +285,7 @@ def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
                 continue
             own = flavour.order(command)
             if own is None:
-                raise ValueError(f"{command} cannot be said to this controller")
+                raise ValueError(f"{command} cannot be sent to this controller")
             lines.append(own)
     return lines, order.time
 
@@ -293,7 +293,7 @@ def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
 # ----------------------------------------------------------------------------------------------------
 # Reader: exactly the subset that the writer uses.
 
-MOST_CHARACTERS = 256  # of a line; LinuxCNC takes no more
+MOST_CHARACTERS = 256  # of a line; LinuxCNC accepts no more
 GRAMMAR = Grammar.of(
     "G-code",
     ";",
@@ -312,12 +312,12 @@ _MODES = {"inverse_time": "G93", "per_minute": "G94"}
 class AxesProgram:
     """What a program does (m places, the first one where it begins; SI units, radians).
 
-    straight, turning   (m, 3), (m, k + e) X Y Z and all others but the filament's, in the order of the letters
+    straight, turning   (m, 3), (m, k + e) X Y Z, and all other axes but the filament's, in the order of the letters
     filament            (m)  pushed so far [m]
-    time                (m)  since the first place [s]; two places are the same where the machine pauses
-    via                 (m, 3) X Y Z on the way of the arc that ends at each place, NaN for lines
+    time                (m)  since the first place [s]; where the machine pauses, a place occurs twice
+    via                 (m, 3) X Y Z of the via point of the arc that ends at each place, NaN for lines
     highest             greatest Z on the way to the first place
-    orders              (time, line) of all that is no motion
+    orders              (time, line) of everything other than motion
     """
 
     straight: Array
@@ -330,9 +330,9 @@ class AxesProgram:
 
 
 def read_axes(text: str, spec: MachineSpec, letters: Sequence[str], tool: int | None = 0) -> AxesProgram:
-    """The program for a machine with these letters (X, Y, Z, then what turns); InputError with the line of all else.
+    """The program for a machine with these letters (X, Y, Z, then rotary axes). InputError for any unknown line.
 
-    tool  selected before the first move, where the flavour asks for one; None where orders do that
+    tool  selected before the first move, if the flavour requires one; None if orders do that
     """
     lines = text.splitlines()
     for n, line in enumerate(lines, 1):
@@ -393,9 +393,9 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str], tool: int | 
 def _arc(
     statement: Statement, place: Mapping[str, float], words: Mapping[str, float], offset: Sequence[float | None]
 ) -> tuple[list[float], float]:
-    """A point on the way of a G2 or G3 from a place, and the arc's length [mm].
+    """Via point of a G2 or G3 from a place, and the arc's length [mm].
 
-    Raises InputError where anything but X and Y moves, or the centre is not as far from the end as from the beginning.
+    Raises InputError if anything but X and Y moves, or the centre is not equidistant from beginning and end.
     """
     i, j = offset
     if words.keys() <= {"X", "Y"} and i is not None and j is not None:
@@ -411,7 +411,7 @@ def _arc(
 def _read_start(
     lines: Sequence[str], spec: MachineSpec, letters: Sequence[str], selected: Sequence[str]
 ) -> tuple[dict[str, float], float]:
-    """Where the modes and the way to the first place leave the machine, by letter, and the greatest Z on that way."""
+    """Where the opening lines leave the machine, by letter, and the greatest Z on the way there."""
     must = [*FLAVOURS[spec.flavour].begin, *selected]
     if spec.flavour == "linuxcnc":
         must.append(f"G92 {spec.filament}0")
@@ -437,7 +437,8 @@ def _read_start(
 
 
 def _words(statement: Statement, motions: str) -> dict[str, float]:
-    """Values of a move by letter, one of the G of `motions`. Raises InputError for any other statement, and for a letter that comes twice."""
+    """Values of a move by letter, if its G is one of `motions`. Raises InputError for any other statement, and for a
+    letter that occurs twice."""
     if statement.word == "move" and statement.parts[0] in motions:
         found = [(word[0], float(word[1:])) for word in statement.parts[1].split()]
         if len({letter for letter, _ in found}) == len(found):
@@ -446,19 +447,19 @@ def _words(statement: Statement, motions: str) -> dict[str, float]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Check of what was read against the plan: nozzle, filament, times and orders.
+# Check of a program that was read against the plan: nozzle, filament, times and orders.
 
 LEAN = np.radians(0.1)
-ROUNDED = 1e-6  # m
-STANDS = 1e-6  # m; a shorter line is rounding, and does not tell where on it the tip is
-LATE = 15e-3  # s by which the tip is early or late on a bead
-FILAMENT = 0.02e-3  # m too much or too little where a bead begins or ends
-ORDER_LATE = 3e-3  # s, and a sample: by which an order stands behind or before its time
-DURATION = 3e-3  # s
+ROUNDED = 1e-6  # [m]
+STANDS = 1e-6  # [m]; a shorter line is rounding, and does not show where on it the tip is
+LATE = 15e-3  # [s] by which the tip may be early or late on a bead
+FILAMENT = 0.02e-3  # [m] too much or too little at the beginning or end of a bead
+ORDER_LATE = 3e-3  # [s], plus a sample: how far an order may be from its time
+DURATION = 3e-3  # [s]
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of the program from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    """Differences of the program from the plan beyond rounding and thinning. InputError for an unknown line."""
     spec = spec_of(plan)
     machine = machine_of(spec)
     t = plan.trajectory
@@ -489,14 +490,14 @@ def _moved(
     laid: NDArray[np.bool_],
     near: float,
 ) -> list[str]:
-    """Where the program's lines leave the path by more than `near` [m], its directions, its times or the part's axes."""
+    """Differences of the program's lines: tip more than `near` [m] off the path, directions, times, the part's axes."""
     k = len(machine.letters)
     places = machine.tip(program.straight, program.turning[:, :k])
     arcs = _ways(machine, program, places)
     best = np.full(len(tip), np.inf)
     lean, late, shifted = np.full(len(tip), np.inf), np.full(len(tip), np.inf), np.zeros(len(tip))
     own = np.searchsorted(program.time, clock) - 1
-    for by in (-1, 0, 1):  # a sample beside a target may belong to the line before or after it
+    for by in (-1, 0, 1):  # a sample next to a target may belong to the line before or after it
         a = np.clip(own + by, 0, len(places) - 2)
         lasts = program.time[a + 1] - program.time[a]
         share = np.clip((clock - program.time[a]) / np.where(lasts > 0.0, lasts, 1.0), 0.0, 1.0)
@@ -525,16 +526,16 @@ def _moved(
             ("the tip is {:.3g} m off its path", float(best.max()), near),
             ("a target is {:.3g} m off the path", float(astray.max()), near),
             ("the nozzle leans {:.3g} rad from its direction", float(lean.max()), LEAN),
-            ("what moves the part is {:.3g} rad off", float(shifted.max()), LEAN),
+            ("an axis that moves the part is off by {:.3g} rad", float(shifted.max()), LEAN),
             ("the tip is {:.3g} s off its time", float(late[laid].max(initial=0.0)), LATE),
         ]
     )
 
 
 def _ways(machine: Machine, program: AxesProgram, places: Array) -> LinesAndArcs:
-    """The tip's way in the part from each place to the next; of moves that are no arcs it is not looked at.
+    """The tip's way in the part from each place to the next; valid only for arcs.
 
-    What turns stands still on arcs, so that they are arcs in the part as well.
+    Rotary axes stand still on arcs, so these are arcs in the part as well.
     """
     circular = ~np.isnan(program.via[1:, 0])
     via = np.where(circular[:, None], program.via[1:], program.straight[1:])
@@ -542,7 +543,7 @@ def _ways(machine: Machine, program: AxesProgram, places: Array) -> LinesAndArcs
 
 
 def _beyond_reach(machine: Machine, program: AxesProgram) -> list[str]:
-    """Axes that turn beyond their range, or go beyond their limits."""
+    """Axes that turn beyond their range, or move beyond their limits."""
     found = []
     for letter, within, turning in zip(machine.letters, machine.ranges, program.turning.T, strict=False):
         if within is not None and not (within[0] - 1e-6 <= turning.min() and turning.max() <= within[1] + 1e-6):
@@ -558,13 +559,13 @@ def _beyond_reach(machine: Machine, program: AxesProgram) -> list[str]:
 
 
 def _fed(plan: Plan, program: AxesProgram) -> list[str]:
-    """Filament at both ends of every bead, and in all."""
+    """Differences in filament at both ends of every bead, and in total."""
     t = plan.trajectory
     edge = np.flatnonzero(np.diff(t.deposit.astype(np.int8), prepend=0, append=0))
     ends = np.unique(np.concatenate([np.clip(edge, 0, len(t) - 1), np.clip(edge - 1, 0, len(t) - 1), [len(t) - 1]]))
     fed = np.interp(t.t[ends] - t.t[0], program.time, program.filament)
     off = np.abs(fed - (t.feed[ends] - t.feed[0]))
-    # a bead of another tool ends where the next one begins; what a millisecond pushes is rounding
+    # beads of different tools may meet within a sample; what a few milliseconds push is rounding
     most = FILAMENT + ORDER_LATE * float(np.abs(np.diff(t.feed)).max(initial=0.0)) / t.dt
     worst = int(np.argmax(off))
     if off[worst] <= most:
@@ -573,8 +574,8 @@ def _fed(plan: Plan, program: AxesProgram) -> list[str]:
 
 
 def _order_differences(plan: Plan, program: AxesProgram) -> list[str]:
-    """Orders to the board, and their times."""
+    """Differences in orders to the board, and in their times."""
     flavour = FLAVOURS[spec_of(plan).flavour]
     planned = [(due, flavour.order(line)) for order in orders(plan, BOARD) for due, line in order.due]
-    others = "other things are said of heat, tools, fan and cutter"
+    others = "there are other orders to heaters, tools, fan and cutter"
     return order_differences(planned, program.orders, ORDER_LATE + plan.trajectory.dt, others)

@@ -1,4 +1,4 @@
-"""Inverse kinematics of machines with five or six axes, and the choice of its branches over a whole print."""
+"""Inverse kinematics of machines with five or six axes, and the choice of branches over a whole print."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 # ----------------------------------------------------------------------------------------------------
 # Machines: axes from the nozzle's pose in the part, and back.
 #
-# A machine of five axes has X, Y, Z and two that turn. Whatever the two turn, head or table, the nozzle's direction at
-# zero angles, n, becomes R(u, a) R(w, b) n in the part as it lies then: u is the axis next to the part, w the one next
-# to the nozzle, and a, b are their angles, with the sign turned of those that turn the table. Two rotations reach a
-# direction in two ways (Paden and Kahan's second subproblem); where it lies along u, a is free.
+# A five-axis machine has X, Y, Z and two rotary axes. Whether these turn head or table, the nozzle's direction n at
+# zero angles becomes R(u, a) R(w, b) n in the part as it lies at zero angles: u is the axis next to the part, w the one
+# next to the nozzle, and a, b are their angles, negated for axes that turn the table. Two rotations reach a direction
+# in two ways (Paden and Kahan's second subproblem); if it lies along u, a is free.
 
-FREE = np.radians(0.02)  # from a direction that leaves an axis free: nearer counts as there, of 0.1 deg allowed
-BEYOND = 1e-9  # by which a square may be negative from rounding
+FREE = np.radians(0.02)  # a direction this close to one that leaves an axis free counts as that; 0.1 deg are allowed
+BEYOND = 1e-9  # by which rounding may make a square negative
 DOWN = np.array([0.0, 0.0, -1.0])  # of the nozzle at zero angles, on the machine
 
 
 @dataclass(frozen=True)
 class Ways:
-    """Angles that give directions (n): both ways (n, 2, k) [rad], whether there is one, and where an axis is free (n)."""
+    """Angles for directions (n): both ways (n, 2, k) [rad], whether they exist (n), and where an axis is free (n)."""
 
     angles: Array
     reached: Flags
@@ -40,34 +40,34 @@ class Ways:
 
 
 class Machine(Protocol):
-    """What is common to machines; poses are tip (n, 3) [m] and quaternion (n, 4) in the part."""
+    """Interface of machines; poses are tip (n, 3) [m] and quaternion (n, 4) in the part."""
 
     @property
     def letters(self) -> tuple[str, ...]:
-        """Of the axes that turn."""
+        """Letters of the rotary axes."""
 
     @property
     def ranges(self) -> tuple[tuple[float, float] | None, ...]:
-        """Of them [rad]; None without end."""
+        """Ranges of the rotary axes [rad]; None if unlimited."""
 
     @property
     def loose(self) -> int:
-        """Which of them is free where one is."""
+        """Index of the rotary axis that is free where one is."""
 
     def ways(self, quat: Array) -> Ways:
         """Both ways to orientations (n, 4)."""
 
     def settled(self, angles: Array, quat: Array) -> Array:
-        """Angles (n, k) at orientations that leave an axis free, which stays as it is."""
+        """Angles (n, k) at orientations that leave an axis free; that axis keeps its angle."""
 
     def straight(self, tip: Array, angles: Array) -> Array:
-        """X, Y, Z (n, 3) [m] that bring the tip to its place at angles (n, k)."""
+        """X, Y, Z (n, 3) [m] that bring the tip to its position at angles (n, k)."""
 
     def tip(self, straight: Array, angles: Array) -> Array:
         """The tip (n, 3) in the part."""
 
     def leaning(self, angles: Array, quat: Array) -> Array:
-        """How far (n) [rad] the nozzle at angles (n, k) is from orientations (n, 4), as far as that matters here."""
+        """Angle (n) [rad] of the nozzle at angles (n, k) from orientations (n, 4), in the sense that matters here."""
 
 
 def turned(direction: Array, theta: Array) -> Array:
@@ -81,12 +81,12 @@ def turned(direction: Array, theta: Array) -> Array:
 
 @dataclass(frozen=True)
 class FiveAxes:
-    """X, Y, Z and two axes that turn; with `tcp` the controller itself keeps the tip in its place.
+    """X, Y, Z and two rotary axes; with `tcp` the controller itself keeps the tip in place.
 
     directions, centres   (2, 3) of the axes at zero angles, on the machine [m]; centres in the head are from the tip
     tables                which of them turn the table
     R, origin             the part frame on the machine at zero angles
-    least, greatest       (3,) X, Y, Z of the machine [m], infinite where it is not known how far they go
+    least, greatest       (3,) limits of the machine's X, Y, Z [m], infinite if unknown
     """
 
     letters: tuple[str, ...]
@@ -113,7 +113,7 @@ class FiveAxes:
         return self.directions[part], self.directions[nozzle], sign[part], sign[nozzle]
 
     def ways(self, quat: Array) -> Ways:
-        """Both ways to the nozzle's direction in the part; how it is turned about itself does not matter."""
+        """Both ways to the nozzle's direction in the part; rotation about it does not matter."""
         u, w, part_sign, nozzle_sign = self._pair
         wanted = self._direction(quat)
         along, g, N = wanted @ u, float(u @ w), float(DOWN @ w)
@@ -133,17 +133,17 @@ class FiveAxes:
         return Ways(angles, square > -BEYOND, free)
 
     def settled(self, angles: Array, quat: Array) -> Array:
-        """The other axis does not depend on the one that is free."""
+        """Angles with the free axis kept; the other axis does not depend on it."""
         out = self.ways(quat).angles[:, 0]
         out[:, self.loose] = angles[:, self.loose]
         return out
 
     def straight(self, tip: Array, angles: Array) -> Array:
-        """Where the tip is on the machine, less what the turned head moves it by; with `tcp` as at zero angles."""
+        """Position of the tip on the machine, less its displacement by the head; with `tcp`, as at zero angles."""
         return tip @ self.R.T + self.origin if self.tcp else self.slides(tip, angles)
 
     def slides(self, tip: Array, angles: Array) -> Array:
-        """Where X, Y and Z of the machine stand (n, 3), whatever the controller is told."""
+        """Positions (n, 3) of the machine's own X, Y and Z, whatever the program gives."""
         return self._carried(tip @ self.R.T + self.origin, angles) - self._swung(angles)
 
     def tip(self, straight: Array, angles: Array) -> Array:
@@ -185,7 +185,7 @@ class FiveAxes:
         return place
 
     def _swung(self, angles: Array) -> Array:
-        """From where the tip would be at zero angles of the head to where it is (n, 3)."""
+        """Displacement (n, 3) of the tip by the head's angles."""
         out = np.zeros((len(angles), 3))
         for i in (1, 0):
             if not self.tables[i]:
@@ -196,14 +196,14 @@ class FiveAxes:
 
 @dataclass(frozen=True)
 class PoseMachine:
-    """Six axes whose controller takes poses: R = Rz(C) Ry(B) Rx(A), as LinuxCNC's genserkins has it."""
+    """Six axes whose controller takes poses: R = Rz(C) Ry(B) Rx(A), as in LinuxCNC's genserkins."""
 
     letters: tuple[str, ...] = ("A", "B", "C")
     ranges: tuple[tuple[float, float] | None, ...] = (None, None, None)
     loose: int = 0
 
     def ways(self, quat: Array) -> Ways:
-        """Roll, pitch and yaw, and those of the other half turn."""
+        """Roll, pitch and yaw, and the equivalent angles with pitch beyond a right angle."""
         R = to_matrix(quat)
         level = np.hypot(R[:, 0, 0], R[:, 1, 0])
         roll, yaw = np.arctan2(R[:, 2, 1], R[:, 2, 2]), np.arctan2(R[:, 1, 0], R[:, 0, 0])
@@ -214,7 +214,7 @@ class PoseMachine:
         return Ways(angles, np.ones(len(quat), dtype=bool), level < FREE)
 
     def settled(self, angles: Array, quat: Array) -> Array:
-        """Straight up or down only the sum, or the difference, of roll and yaw is given."""
+        """Angles with roll kept: straight up or down, only the sum or the difference of roll and yaw is determined."""
         R = to_matrix(quat)
         up = R[:, 2, 0] < 0.0  # pitch of 90 degrees
         together = np.arctan2(np.where(up, R[:, 0, 1], -R[:, 0, 1]), R[:, 1, 1])
@@ -258,16 +258,16 @@ def machine_of(spec: MachineSpec) -> Machine:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Which of both branches, and of all whole turns, each orientation takes: chosen over the whole print at once.
+# The branch and the whole turns of each orientation, chosen over the whole print at once.
 
 TURN = 2.0 * np.pi
-JUMP = np.radians(10.0)  # between two samples: more than that is another way, not a motion
-DEAR = 1000.0  # times its angle a jump costs while material is laid
-FROM_ZERO = 1e-3  # rad of motion that a radian from zero costs at the start
+JUMP = np.radians(10.0)  # between two samples; more is a change of branch, not a motion
+DEAR = 1000.0  # × its angle is the cost of a jump while material is laid
+FROM_ZERO = 1e-3  # cost of each radian from zero at the start, in radians of motion
 
 
 def candidates(angles: Array, ranges: Sequence[tuple[float, float] | None]) -> Array:
-    """Angles (n, c, k) within the ranges that stand for both ways (n, 2, k), NaN where there is none."""
+    """Angles (n, c, k) within the ranges that are equivalent to both ways (n, 2, k); NaN where there are none."""
     found = []
     turns = [range(1 if each is None else int((each[1] - each[0]) / TURN) + 1) for each in ranges]
     for way, *turn in itertools.product((0, 1), *turns):
@@ -282,20 +282,19 @@ def candidates(angles: Array, ranges: Sequence[tuple[float, float] | None]) -> A
 
 
 def missing(ways: Ways, machine: Machine) -> Indices:
-    """Samples that no angles within the machine's ranges give."""
+    """Samples that no angles within the machine's ranges reach."""
     reachable = ~np.isnan(candidates(ways.angles, machine.ranges)[:, :, 0]).all(axis=1)
-    # where an axis is free it need not stand where the formula has it, but the others must
+    # a free axis need not take the angle that the formula gives, but the others must
     bound = tuple(None if j == machine.loose else each for j, each in enumerate(machine.ranges))
     loosely = ~np.isnan(candidates(ways.angles, bound)[:, :, 0]).all(axis=1)
     return np.flatnonzero(~(ways.reached & np.where(ways.free, loosely, reachable)))
 
 
 def chosen(ways: Ways, machine: Machine, t: Array, laid: Flags, quat: Array) -> Array:
-    """Angles (n, k) of the machine's axes that turn least over samples at times t (n), none of them missing.
+    """Angles (n, k) of the machine's axes that turn least over samples at times t (n), none of which may be missing.
 
-    Whole turns are kept: no angle leaps from one end of a turn to the other. While material is laid, axes change
-    their way only where nothing else is left. Where an axis is free it moves evenly from what is asked before to what
-    is asked after.
+    Whole turns are kept: no angle jumps from one end of a turn to the other. While material is laid, axes change branch
+    only if nothing else is possible. A free axis moves evenly from the angle required before to the one required after.
     """
     bound = np.flatnonzero(~ways.free)
     angles = np.zeros((len(t), len(machine.letters)))
@@ -320,7 +319,7 @@ def chosen(ways: Ways, machine: Machine, t: Array, laid: Flags, quat: Array) -> 
 
 @njit
 def _cheapest(table: Array, endless: Flags, laid: Flags) -> Indices:
-    """Which candidate (n) of each sample lies on the way that turns least."""
+    """Index of the candidate (n) for each sample on the route that turns least."""
     n, count, axes = table.shape
     before = np.full((n, count), -1, dtype=np.int16)
     cost = np.full(count, np.inf)
@@ -360,10 +359,10 @@ def _cheapest(table: Array, endless: Flags, laid: Flags) -> Indices:
 # ----------------------------------------------------------------------------------------------------
 # A plan on such a machine: its axes at every sample, or where and why it cannot follow.
 
-FINEST = np.radians(2.0)  # that an axis turns between two samples: poses between them are added where it turns more
-MOST_ADDED = 60  # between two samples, each time
-ROUNDS = 2  # of adding
-OFF, LEANING = 0.05e-3, np.radians(0.1)  # m, rad by which the tip may miss its path between two samples
+FINEST = np.radians(2.0)  # that an axis may turn between two samples; beyond, poses are added between them
+MOST_ADDED = 60  # parts that an interval is divided into, in each round
+ROUNDS = 2  # of adding poses
+OFF, LEANING = 0.05e-3, np.radians(0.1)  # [m, rad] by which the nozzle may miss its path between two samples
 
 
 @dataclass(frozen=True)
@@ -374,8 +373,8 @@ class Followed:
     tip, quat           (n, 3), (n, 4) in the part
     feed                (n)     filament pushed since the start [m]
     laid                (n)     material flows
-    straight, angles    (n, 3), (n, k) X Y Z [m] and the axes that turn [rad], all turns kept
-    station             (n, e)  what moves a robot's part [rad]
+    straight, angles    (n, 3), (n, k) X Y Z [m] and the rotary axes [rad], with whole turns kept
+    station             (n, e)  axes that move a robot's part [rad]
     sample              (n)     the plan's own sample, or the last one before it
     """
 
@@ -395,7 +394,7 @@ class Followed:
 
 
 def spec_of(plan: Plan) -> MachineSpec:
-    """The machine that the problem describes; ValueError where it describes none, a mistake of the caller's."""
+    """The machine that the problem describes; ValueError (the caller's mistake) if it describes none."""
     spec = plan.problem.program.machine
     if spec is None:
         raise ValueError("the problem describes no machine")
@@ -403,10 +402,10 @@ def spec_of(plan: Plan) -> MachineSpec:
 
 
 def follow(plan: Plan) -> Followed:
-    """A plan as the machine of `program.machine` makes it; InputError with bead and place where it cannot.
+    """A plan's motion on the machine in `program.machine`; InputError, with bead and place, if that is impossible.
 
-    A machine of five axes has another home than the robot: it stands still above the first bead while the robot
-    comes from home, and above the last one while it goes there.
+    A five-axis machine does not share the robot's home: it stands still above the first bead while the robot comes from
+    home, and above the last one while the robot returns.
     """
     t, spec = plan.trajectory, spec_of(plan)
     machine = machine_of(spec)
@@ -437,7 +436,7 @@ def follow(plan: Plan) -> Followed:
 
 
 def above(plan: Plan) -> tuple[int, int]:
-    """Samples where the nozzle first, and last, is as high above the print as it travels."""
+    """Last sample before the first bead, and first after the last one, at least lift and run-in away from it."""
     t, process = plan.trajectory, plan.problem.process
     laid = np.flatnonzero(t.deposit)
     high = process.lift + process.run_in
@@ -448,22 +447,20 @@ def above(plan: Plan) -> tuple[int, int]:
 
 
 def _turned(plan: Plan, now: Followed) -> Followed:
-    """The same with its axes' angles chosen."""
+    """The motion with its axes' angles chosen."""
     ways = now.machine.ways(now.quat)
     if len(lost := missing(ways, now.machine)):
         i = int(lost[0])
         why = "no angles of its axes give the nozzle's direction"
         if ways.reached[i]:
             both = ["/".join(f"{np.degrees(v):.2f}" for v in way) for way in ways.angles[i]]
-            why = (
-                f"{'/'.join(now.machine.letters)} would have to stand at {' or '.join(both)} degrees, beyond range_deg"
-            )
+            why = f"{'/'.join(now.machine.letters)} would have to be at {' or '.join(both)} degrees, beyond range_deg"
         raise plan.problem.error("program.machine", f"{where(plan, int(now.sample[i]))}: {why}")
     return replace(now, angles=chosen(ways, now.machine, now.t, now.laid, now.quat))
 
 
 def _finer(now: Followed, parts: Indices) -> Followed:
-    """Poses added, so that each interval becomes `parts` (n - 1) of them."""
+    """The motion with poses added, so that each interval is divided into `parts` (n - 1)."""
     a = np.append(np.repeat(np.arange(len(parts)), parts), len(parts))
     u = np.append((np.arange(len(a) - 1) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[a[:-1]], 0.0)
     b = np.minimum(a + 1, len(parts))
@@ -484,7 +481,7 @@ def _finer(now: Followed, parts: Indices) -> Followed:
 
 
 def _check_slides(plan: Plan, now: Followed) -> None:
-    """Raise the InputError of a place where X, Y or Z would have to go beyond the machine's limits."""
+    """Raise InputError for a place where X, Y or Z would have to move beyond the machine's limits."""
     machine = now.machine
     if not isinstance(machine, FiveAxes):
         return
@@ -495,12 +492,12 @@ def _check_slides(plan: Plan, now: Followed) -> None:
         i = int(wrong[0])
         j = int(np.argmax(beyond[i]))
         low, high = machine.least[j] * 1e3, machine.greatest[j] * 1e3
-        reason = f"{'XYZ'[j]} would have to stand at {slides[i, j] * 1e3:.2f} mm, its limits are {low:g} and {high:g}"
+        reason = f"{'XYZ'[j]} would have to be at {slides[i, j] * 1e3:.2f} mm; its limits are {low:g} and {high:g}"
         raise plan.problem.error("program.machine", f"{where(plan, int(now.sample[i]))}: {reason}")
 
 
 def _check_between(plan: Plan, now: Followed) -> None:
-    """Raise the InputError of a place where the axes, moving evenly, take the nozzle elsewhere between two samples."""
+    """Raise InputError for a place where evenly moving axes take the nozzle off its path between two samples."""
     halves = [0.5 * (values[1:] + values[:-1]) for values in (now.straight, now.angles, now.tip)]
     off = np.linalg.norm(now.machine.tip(halves[0], halves[1]) - halves[2], axis=1)
     quat = slerp(now.quat[:-1], now.quat[1:], np.full(len(off), 0.5))
@@ -511,7 +508,7 @@ def _check_between(plan: Plan, now: Followed) -> None:
         j = int(np.argmax(np.abs(now.angles[i + 1] - now.angles[i])))
         a, b = np.degrees(now.angles[i : i + 2, j])
         reason = f"{now.machine.letters[j]} would have to turn from {a:.1f} to {b:.1f} degrees at one place"
-        hint = "another part_rpy_deg takes the print away from where the axis is free; a wider range_deg may do"
+        hint = "another part_rpy_deg keeps the print away from where the axis is free; a wider range_deg may help"
         raise plan.problem.error("program.machine", f"{where(plan, int(now.sample[i]))}: {reason}", hint)
 
 

@@ -1,4 +1,4 @@
-"""Postures of a program: joints of its targets, and between them, by the configuration of each target."""
+"""Postures of a program: joints at and between its targets, by the configuration of each target."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from planner.export.program import RobotProgram
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
 
-# Between two knots joints are interpolated: on an arm of 0.3 m a line of this length leaves its chord by 4 um,
-# and the tip of a nozzle of 0.15 m, where the nozzle turns by this angle, by 6 um.
-STEP = 3e-3  # m
+# Joints are interpolated between knots. On an arm of 0.3 m, a path STEP long leaves its chord by 4 um; where the nozzle
+# turns by TURN, the tip of a nozzle of 0.15 m does so by 6 um.
+STEP = 3e-3  # [m]
 TURN = np.radians(1.0)
-BEND = np.radians(10.0)  # of an arc: its chord then leaves it by a thousandth of the radius
-JUMP = 0.3  # rad between neighbouring knots of a line: beyond, another configuration may be the nearer one
+BEND = np.radians(10.0)  # of an arc, whose chord then leaves it by a thousandth of the radius
+JUMP = 0.3  # [rad] between neighbouring knots of a line; beyond, another configuration may be nearer
 QUARTER = 0.5 * np.pi
-BORDER = 1e-4  # rad by which a joint may lie beyond the quarter that a target names: targets are rounded
-ROUNDED = 1e-6  # rad by which targets are turned in rounding: over the sine of axis 5, it is what axes 4 and 6 turn by
-STRAIGHT = 1e-5  # rad of axis 5: below, a target leaves open how axes 4 and 6 share their sum
-HELD = np.radians(0.01)  # by which a target may have a held axis of the station elsewhere
-BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
-SAME = 1e-6  # rad between one posture and itself, computed anew
+BORDER = 1e-4  # [rad] by which a joint may lie beyond the quarter that a target names, as targets are rounded
+ROUNDED = 1e-6  # [rad] by which rounding turns targets; divided by the sine of axis 5, it is what axes 4 and 6 turn by
+STRAIGHT = 1e-5  # [rad] of axis 5; below, a target leaves open how axes 4 and 6 share their sum
+HELD = np.radians(0.01)  # by which a target's value for a held axis of the station may be off
+BLOCK = 20_000  # poses whose postures are computed at once: bounds the memory
+SAME = 1e-6  # [rad] between a posture and the same one computed again
 REVOLUTION = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
 class PostureKnots:
-    """k postures that the robot goes through, joints straight between each and the next.
+    """k postures that the robot passes through, with straight joint motion between them.
 
     q         (k, n) joints in the cell's order
     position, quat  (k, 3) [m], (k, 4) x y z w: pose of the program's tool in its work object
-    move      (k - 1) the move to which the way to the next knot belongs
+    move      (k - 1) the move that the way to the next knot belongs to
     target    (m) the knot that is the target of each move
-    strays    moves at whose end the posture is not of the configuration that the target names
+    strays    moves whose final posture does not have the configuration that the target names
     """
 
     q: Array
@@ -54,14 +54,16 @@ class PostureKnots:
 
 
 def _check(program: RobotProgram, cell: Cell) -> None:
-    """Raise InputError for configurations that the arm has not, and for moves without a speed."""
+    """Raise InputError for configurations that the arm does not have, and for moves without a speed."""
     if len(cell.given) > cell.rails:
         raise _error(
-            program, f"targets do not say the posture of {cell.arm_robot.name}, which has {len(cell.arm)} joints"
+            program, f"targets do not give the posture of {cell.arm_robot.name}, which has {len(cell.arm)} joints"
         )
     outside = np.flatnonzero((program.conf[:, 3] < 0) | (program.conf[:, 3] >= cell.inverse.branch_count))
     if len(outside):
-        raise _error(program, f"move {outside[0]} names configuration {program.conf[outside[0], 3]}, which is none")
+        raise _error(
+            program, f"move {outside[0]} names configuration {program.conf[outside[0], 3]}, which does not exist"
+        )
     speeds = program.speed[:, [0, 1, 3]]
     without = np.flatnonzero(~(np.isfinite(speeds) & (speeds > 0.0)).all(axis=1))
     if len(without):
@@ -71,12 +73,12 @@ def _check(program: RobotProgram, cell: Cell) -> None:
 def knots_of(program: RobotProgram, cell: Cell) -> PostureKnots:
     """Postures along a program.
 
-    Lines are followed in the work object by the configuration of their target, continuously, as `ConfL\\Off` has it:
-    where the named configuration is not reached continuously the nearest one is taken. Joint moves go straight
-    to the configuration and the quarter turns of their target, as `ConfJ\\On` has it.
+    Lines are followed in the work object, continuously, in the configuration of their target, as with `ConfL\\Off`: if
+    that is not reached continuously, the nearest one is taken. Joint moves go straight to the configuration and the
+    quarter turns of their target, as with `ConfJ\\On`.
 
-    Raises InputError where a target cannot be reached in its configuration, for axes that the cell has not and for moves
-    without a speed.
+    Raises InputError if a target cannot be reached in its configuration, for axes that the cell does not have, and for
+    moves without a speed.
     """
     m, six = len(program.linear), len(cell.solved)
     _check(program, cell)
@@ -84,7 +86,7 @@ def knots_of(program: RobotProgram, cell: Cell) -> PostureKnots:
     beside = frames.free(program.start[None, six:])[0]
     begin = np.concatenate([beside[: cell.rails], program.start[:six], beside[cell.rails :]])
     if not np.isfinite(begin).all():
-        raise _error(program, "the start does not say where all joints stand")
+        raise _error(program, "the start does not give the position of every joint")
     p0, quat0 = frames.pose(begin[None])
     ends = np.vstack([beside[None], frames.free(program.external)])
     position, quat = np.vstack([p0, program.position]), np.vstack([quat0, program.quat])
@@ -108,7 +110,7 @@ def knots_of(program: RobotProgram, cell: Cell) -> PostureKnots:
 
 
 class _Frames:
-    """Where a program's targets lie for the arm."""
+    """A program's frames: where its targets lie for the arm."""
 
     def __init__(self, program: RobotProgram, cell: Cell) -> None:
         self._program, self._cell = program, cell
@@ -117,13 +119,13 @@ class _Frames:
         self._T_tool_flange = np.linalg.inv(_matrix(program.tool))
 
     def free(self, external: Array) -> Array:
-        """The station's free axes (m, f) of all its axes (m, 6), before them what carries the arm; those that are held must
-        stand where they are held."""
+        """Free axes (m, f) of the arm's carrier and then the station, from all external axes (m, 6); held axes must be
+        where they are held."""
         axes = external_axes(self._cell)
         table = external_read(self._cell, external)
         missing = np.flatnonzero(~np.isfinite(table).all(axis=1))
         if len(missing):
-            raise _error(self._program, f"target {missing[0]} does not say where all axes of the station stand")
+            raise _error(self._program, f"target {missing[0]} does not give the position of every axis of the station")
         for k, axis in enumerate(axes):
             if axis.held is not None and (np.abs(table[:, k] - axis.held) > HELD).any():
                 raise _error(self._program, f"axis {axis.name} of the station is held, and the program moves it")
@@ -139,7 +141,7 @@ class _Frames:
         return out
 
     def solve(self, poses: _Poses) -> tuple[Array, Flags]:
-        """Postures (k, branches, na) of the arm with what carries it where the targets say, and which exist."""
+        """Postures (k, branches, na) of the arm, with its carrier where the targets say, and which of them exist."""
         given = poses.external[:, : self._cell.rails] if self._cell.rails else None
         return self._cell.inverse.solve(self.flange(poses), given)
 
@@ -152,7 +154,7 @@ class _Frames:
 
 @dataclass(frozen=True)
 class _Poses:
-    """k poses of the tool in the work object, and the station's free axes there."""
+    """k poses of the tool in the work object, and the free external axes there."""
 
     position: Array
     quat: Array
@@ -172,7 +174,7 @@ def _followed(program: RobotProgram, cell: Cell, frames: _Frames, knots: _Poses,
         solutions, exists = frames.solve(knots.rows(rows))
         raw[rows] = _chosen(program, solutions, exists, branch[rows], move[rows])
     raw = np.vstack([begin[:na], raw])
-    line = np.concatenate([[False], program.linear[move]])  # the way to this knot is a line
+    line = np.concatenate([[False], program.linear[move]])  # whether the way to the knot is a line
     if cell.spherical:
         _share_straight_wrists(program, raw[:, cell.own], np.flatnonzero(~line[1:]) + 1, move)
     _keep_continuous(raw, line, lambda i: frames.solve(knots.rows(slice(i - 1, i))))
@@ -180,7 +182,7 @@ def _followed(program: RobotProgram, cell: Cell, frames: _Frames, knots: _Poses,
     turns[1:] = -np.round(np.diff(raw, axis=0) / REVOLUTION)
     turns[~line] = 0.0
     turns[:, ~cell.limits.turns[:na]] = 0.0
-    since = np.maximum.accumulate(np.where(line, 0, np.arange(k + 1)))  # the knot from which lines go on to this one
+    since = np.maximum.accumulate(np.where(line, 0, np.arange(k + 1)))  # the knot from which lines lead to this one
     added = np.cumsum(turns, axis=0)
     absolute = np.zeros_like(raw)
     at = np.flatnonzero(~line)
@@ -201,9 +203,9 @@ def _chosen(program: RobotProgram, solutions: Array, exists: Flags, branch: Indi
 
 
 def _share_straight_wrists(program: RobotProgram, raw: Array, ends: Indices, move: Indices) -> None:
-    """Where the wrist is straight at the ends of joint moves, axis 4 as at the start, as far as the named quarter goes.
+    """Where the wrist is straight at the end of a joint move, put axis 4 where it was at the start, within its quarter.
 
-    Only the sum of axes 4 and 6 follows from such a target, of which home is the usual one.
+    Only the sum of axes 4 and 6 follows from such a target; home is the usual one.
     """
     straight = ends[np.abs(raw[ends, 4]) < STRAIGHT]
     low = program.conf[move[straight - 1], 1] * QUARTER
@@ -213,7 +215,7 @@ def _share_straight_wrists(program: RobotProgram, raw: Array, ends: Indices, mov
 
 
 def _keep_continuous(raw: Array, line: Flags, solve: Callable[[int], tuple[Array, Flags]]) -> None:
-    """Where joints jump on a line, take the nearest posture instead, until that is the named one again."""
+    """Where joints jump on a line, take the nearest posture instead until it is the named one again."""
     jumps = np.abs(_wrapped(np.diff(raw, axis=0))).max(axis=1) > JUMP
     done = 0
     for first in (np.flatnonzero(line[1:] & jumps) + 1).tolist():
@@ -235,7 +237,7 @@ def _wrapped(angles: Array) -> Array:
 
 
 def _named_turns(program: RobotProgram, cell: Cell, raw: Array, move: Indices) -> Array:
-    """Whole turns (k, n) to add to joints in (-pi, pi]: as targets say, by joints or by quarters, else by the ranges."""
+    """Whole turns (k, n) to add to joints in (-pi, pi]: by the targets' joints or quarters, else by joint ranges."""
     limits = cell.limits
     if program.joints is not None:
         turns: Array = np.round((program.joints[move] - raw) / REVOLUTION)
@@ -248,7 +250,7 @@ def _named_turns(program: RobotProgram, cell: Cell, raw: Array, move: Indices) -
 
 
 def _strays(program: RobotProgram, cell: Cell, q: Array) -> tuple[int, ...]:
-    """Moves whose target's posture, of all targets' postures q (m, n), is not the one that the target names."""
+    """Moves whose posture at the target, q (m, n), does not have the configuration that the target names."""
     if not cell.spherical:
         return ()
     own = q[:, cell.own]
@@ -262,7 +264,7 @@ def _strays(program: RobotProgram, cell: Cell, q: Array) -> tuple[int, ...]:
 
 
 def _with_joint_moves(program: RobotProgram, frames: _Frames, ends: PostureKnots) -> PostureKnots:
-    """The same knots and, between those that joint moves connect, knots on the straight line of joints."""
+    """The knots, with further ones on the straight line in joint space between those that joint moves connect."""
     change = np.abs(np.diff(ends.q, axis=0)).max(axis=1)
     parts = np.where(program.linear[ends.move], 1, np.ceil(change / TURN).clip(1)).astype(np.intp)
     owner = np.repeat(np.arange(len(parts)), parts)

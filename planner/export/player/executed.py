@@ -1,4 +1,4 @@
-"""What a controller's arm does with a program that was played: zones round its corners, and it follows its commands late."""
+"""How a controller's arm executes a played program: zones round its corners, and it lags behind its commands."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class ExecutedRun:
 def executed_run(program: RobotProgram, played: Played, model: MotionModel, tick: float = TICK) -> ExecutedRun:
     """The joints of a run, `tick` seconds apart, as a controller's model has them.
 
-    Within a zone the path is the parabola between its ends, `model.depth` of it; then the arm follows as through a filter
-    that weighs what was commanded dt before and after by exp(-|dt| / lag), as `path.deviation` has it.
+    Within a zone, the path leaves the corner by `model.depth` of what the parabola between the zone's ends does. The
+    arm then follows as through a filter that weights commands dt before and after by exp(-|dt| / lag).
     """
     t = np.arange(0.0, played.duration + 0.5 * tick, tick)
     q = _rounded(program, played, model.depth, t)
@@ -42,14 +42,14 @@ def _rounded(program: RobotProgram, played: Played, depth: float, t: Array) -> A
     )
     q = lerp(played.q, knot, knot + 1, share)
     steps = np.linalg.norm(np.diff(played.position, axis=0), axis=1)
-    way = np.concatenate([[0.0], np.cumsum(steps)])  # of the tip, at knots [m]
+    way = np.concatenate([[0.0], np.cumsum(steps)])  # distance travelled by the tip, at knots [m]
     at = way[knot] + share * steps[knot]
     target = played.target[:-1]
     if not len(target):
         return q
     moves = np.diff(way[np.concatenate([[0], played.target])])
     reach = np.where(program.fine[:-1], 0.0, np.minimum(program.zone[:-1], 0.5 * np.minimum(moves[:-1], moves[1:])))
-    slope = np.diff(played.q, axis=0) / np.where(steps > 0.0, steps, np.inf)[:, None]  # joints over the tip's way
+    slope = np.diff(played.q, axis=0) / np.where(steps > 0.0, steps, np.inf)[:, None]  # joints per metre of the tip
     turn = slope[np.minimum(target, len(slope) - 1)] - slope[np.maximum(target - 1, 0)]
     for side in (0, 1):  # the corner behind, and the one ahead
         i = np.searchsorted(way[target], at, side="right") - 1 + side
@@ -61,7 +61,7 @@ def _rounded(program: RobotProgram, played: Played, depth: float, t: Array) -> A
 
 
 def followed(q: Array, lag: float, tick: float) -> Array:
-    """Joints (k, n) that follow others with a lag [s] to both sides of time: what is left of it when delay is left out."""
+    """Joints (k, n) smoothed by a lag [s] in both directions of time, which leaves out the delay itself."""
     if lag <= 0.0 or len(q) < 3:
         return q
     keep = np.exp(-tick / lag)

@@ -1,4 +1,4 @@
-"""How controllers move: what a player needs to know of one to foretell pace and path. One frozen value for each."""
+"""How controllers move: what a player needs to know of one to predict pace and path. One frozen value for each."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from dataclasses import dataclass, replace
 class MotionModel:
     """A controller's way of moving.
 
-    ramp          how long the S-shaped ramp from rest to 1 m/s takes [s]; to other speeds it grows with their cube root
-    peak          greatest acceleration of a ramp over its mean: that is what the joints must have
+    ramp          duration of the S-shaped ramp from rest to 1 m/s [s]; it grows with the cube root of the speed
+    peak          ratio of a ramp's greatest acceleration, which the joints must provide, to its mean
     corner        share of the joints' accelerations that is used where a programmed path turns at a target
-    settling      time that joints have for such a turn beside that in which the zone is passed [s]: it is what makes
-                  small zones passable
-    sharing       exponent by which the programmed speed and that of a corner are combined: inf is the lesser of the two
+    settling      time that joints have for such a turn in addition to that spent in the zone [s]; it makes small
+                  zones passable
+    sharing       exponent that combines the programmed speed with that of a corner; inf: the lesser of the two
     depth         of a corner's path within its zone, as a share of that of a parabola
-    lag           time constant by which the arm follows its commands [s], which rounds what the path turns
-    ahead_moves   moves ahead of the one that runs for which the controller can brake
-    move_time     what planning of a move takes at most [s]: on the mean of `ahead_moves` moves, none is shorter
-    assumed       which of these no public recording shows
+    lag           time constant with which the arm follows its commands [s], which rounds corners of the path
+    ahead_moves   moves beyond the current one that the controller knows, and can brake for
+    move_time     longest time to plan a move [s]: `ahead_moves` successive moves take at least this long on average
+    assumed       which of these values no public recording shows
     """
 
     name: str
@@ -35,13 +35,12 @@ class MotionModel:
     assumed: tuple[str, ...] = ()
 
 
-# What a program says, on a controller that does just that: accelerations of the cell, no jerk, parabolas in zones.
+# A controller that does just what the program says: the cell's accelerations, no jerk limits, parabolas in zones.
 PLAIN = MotionModel("as programmed")
 
-# Fitted to 48 runs of one corner in RobotStudio and to a real run of curve 1, of an IRB 6640-180/2.55; 144 other runs were
-# held out (docs/controller_model.md; hehonglu123/ABB_Primitive_Study and Motion-Primitive-Planning). A real IRC5 ran 62
-# lines a second at full speed, and braked from that within
-# 0.1 m, so that it knows 6 of them at least.
+# Fitted to 48 runs of one corner in RobotStudio and to a real run of curve 1, of an IRB 6640-180/2.55; 144 other runs
+# were held out (docs/controller_model.md; hehonglu123/ABB_Primitive_Study and Motion-Primitive-Planning). A real IRC5
+# ran 62 lines a second at full speed, and braked from that within 0.1 m, so it knows at least 6 of them.
 ABB = MotionModel(
     "ABB IRC5",
     ramp=0.18,
@@ -56,7 +55,8 @@ ABB = MotionModel(
     assumed=("ahead_moves",),
 )
 
-# ASSUMED: of other controllers no recording was found. They move as that one does, and know fewer or more moves ahead.
+# ASSUMED: no recording of other controllers was found. They move like the ABB, but may know fewer moves ahead, and take
+# other times to plan a move.
 ASSUMED = ("ramp", "peak", "corner", "settling", "sharing", "depth", "lag", "ahead_moves", "move_time")
 ASSUMED_ABB = {
     "krl": replace(ABB, name="KUKA KR C", ahead_moves=3, move_time=0.012, assumed=ASSUMED),

@@ -1,4 +1,4 @@
-"""Pace of a program: the slowest of tip, reorientation, axes and joints, with ramps and corners as a controller has them."""
+"""Pace of a program: the slowest of tip, reorientation, axes and joints, with a controller's ramps and corners."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from planner.export.program import RobotProgram
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
 
-# Metres of path that a joint's way counts as, by the second that it would take at its own speed limit: where the tip
-# hardly moves, or stands, joints measure the path. A printing tip moves faster than this.
+# Metres of path for each second that a joint would take at its own speed limit: where the tip hardly moves, or stands
+# still, joints measure the path. A printing tip moves faster than this.
 METRES_PER_SECOND = 0.02
-NO_WAY = 1e-9  # m of path between knots: less is none
-TIP, TURNING, AXIS = 0, 1, 2  # what a speed follows from; joints follow, and after them the planning of moves
+NO_WAY = 1e-9  # [m] of path between knots; less counts as none
+TIP, TURNING, AXIS = 0, 1, 2  # what limits a speed; the joints come next, then the planning of moves
 
 
 @dataclass(frozen=True)
@@ -38,15 +38,15 @@ class PlayedPace:
 
 
 def pace(program: RobotProgram, cell: Cell, knots: PostureKnots, model: MotionModel) -> PlayedPace:
-    """When the robot passes every knot.
+    """When the robot passes each knot.
 
-    On each way between knots the top speed is what the slowest of six allows: the programmed speed of the tip in the
-    work object, of reorientation there, of the station's axes or of a second arm, the speed limits of the joints, and the time that the
-    controller needs for planning a move. Speed changes with the greatest acceleration along the path that the limits of
-    all joints and the model's jerk allow, from one programmed speed to the next within the zone of the target between.
-    At `fine` targets the robot comes to rest. At others it turns within the zone, cut to half of the lines beside it, at
-    a speed at which the joints can change from one line to the next. It is never faster than it can brake for within
-    the moves that the controller knows.
+    On each way between knots, the top speed is that of the slowest of these: the programmed speeds of the tip in the
+    work object, of reorientation there, and of the station's axes or a second arm; the speed limits of the joints; and
+    the time that the controller needs to plan a move. Speed changes with the greatest acceleration along the path that
+    the limits of all joints and the model's jerk allow, from one programmed speed to the next within the zone of the
+    target between them. At `fine` targets the robot comes to rest. At others it turns within the zone, limited to half
+    of the adjacent lines, at a speed at which the joints can change from one line to the next. It is never faster than
+    it can brake from within the moves that the controller knows.
     """
     change = np.abs(np.diff(knots.q, axis=0))
     external, turns = change[:, cell.besides], cell.limits.turns[list(cell.besides)]
@@ -90,9 +90,9 @@ def pace(program: RobotProgram, cell: Cell, knots: PostureKnots, model: MotionMo
 
 
 def _second_arm(speed: Array, cell: Cell, knots: PostureKnots) -> Array:
-    """Times (k - 1) [s] that the arm that moves the part takes at its own speeds (k - 1, 4): of its flange, in the world.
+    """Times (k - 1) [s] that the arm that moves the part takes at its flange's speeds (k - 1, 4) in the world.
 
-    The slowest of two synchronised arms sets the pace of both (ABB, MultiMove: robot speeds).
+    The slower of two synchronised arms sets the pace of both (ABB, MultiMove: robot speeds).
     """
     flange = cell.flange_of_second_arm(np.ascontiguousarray(knots.q[:, len(cell.arm) :]))
     way = np.linalg.norm(np.diff(flange[:, :3, 3], axis=0), axis=1)
@@ -102,7 +102,7 @@ def _second_arm(speed: Array, cell: Cell, knots: PostureKnots) -> Array:
 
 
 def _planned(took: Array, model: MotionModel) -> Array:
-    """By how much moves that take so long (m) [s] are stretched, so that the controller can plan them in time (m)."""
+    """Factors (m) that stretch moves, given their times (m) [s], so that the controller can plan them in time."""
     count, m = min(model.ahead_moves, len(took)), len(took)
     out = np.ones(m)
     if model.move_time <= 0.0:
@@ -116,7 +116,7 @@ def _planned(took: Array, model: MotionModel) -> Array:
 
 
 def _summed(move: Indices, values: Array, count: int) -> Array:
-    """Sums (count) of values (w) by their moves (w)."""
+    """Sums (count) of values (w) over each move, given their moves (w)."""
     out: Array = np.bincount(move, values, minlength=count).astype(np.float64)
     return out
 
@@ -124,21 +124,21 @@ def _summed(move: Indices, values: Array, count: int) -> Array:
 # ----------------------------------------------------------------------------------------------------
 # Ramps: from one speed to the next, as steep as joints and jerk allow.
 
-ROUNDS = 4  # of finding how far each ramp goes, and with that how steep it is; what is off falls to a quarter each time
-SPAN = 0.15  # s to both sides within which speeds belong to the same ramp: the longest S from 0 to 0.4 m/s
-TICK = 0.01  # s between instants at which that is looked at
-SMALLEST = 1e-3  # m/s that a ramp leads over, at least
-MOST_TICKS = 2_000_000  # of a program; longer ones are looked at more coarsely
+ROUNDS = 4  # iterations on the height of each ramp, and with it its steepness; each cuts the error to a quarter
+SPAN = 0.15  # [s] to either side within which speeds belong to the same ramp: the longest S from 0 to 0.4 m/s
+TICK = 0.01  # [s] between instants at which that is evaluated
+SMALLEST = 1e-3  # [m/s]; least change of speed of a ramp
+MOST_TICKS = 2_000_000  # of a program; longer ones are evaluated more coarsely
 
 
 @dataclass(frozen=True)
 class _Ways:
-    """The ways that are longer than none (w) and what bounds the speed on them.
+    """The ways with a length (w), and what bounds the speed on them.
 
-    index, length  which they are; metres of path
-    rate           (w, n) of the joints, by metre of path
+    index, length  their indices; metres of path
+    rate           (w, n) of the joints, per metre of path
     steepest       acceleration along the path that the joints allow [m/s^2]
-    top, hard      squares of the speeds that program and joints allow, and joints alone [m^2/s^2]
+    top, hard      squares of the speeds that program and joints, and joints alone, allow [m^2/s^2]
     """
 
     index: Indices
@@ -164,7 +164,7 @@ def _phases(program: RobotProgram, cell: Cell, knots: PostureKnots, ways: _Ways,
 
 
 def _brakable(knots: PostureKnots, ways: _Ways, steepest: Array, moves: int) -> Array:
-    """Square of the speed (w) [m^2/s^2] from which the robot stops within the moves that are known when each way begins."""
+    """Square of the speed (w) [m^2/s^2] from which the robot can stop within the moves known when each way begins."""
     move = knots.move[ways.index]
     last = np.searchsorted(move, move + moves, side="right")
     gain = np.concatenate([[0.0], np.cumsum(2.0 * steepest * ways.length)])
@@ -173,9 +173,9 @@ def _brakable(knots: PostureKnots, ways: _Ways, steepest: Array, moves: int) -> 
 
 
 def ramp(over: Array, steepest: Array, model: MotionModel) -> Array:
-    """Even acceleration [m/s^2] that takes as long as the model's S-shaped ramp over so many m/s (k).
+    """Constant acceleration [m/s^2] that takes as long as the model's S-shaped ramp over a change of speed (k) [m/s].
 
-    steepest   acceleration [m/s^2] that the joints allow at the middle of the S (k), which is `peak` times its mean
+    steepest   acceleration [m/s^2] that the joints allow in the middle of the S (k), which is `peak` times its mean
     """
     over = np.maximum(over, SMALLEST)
     out: Array = np.minimum(over ** (2.0 / 3.0) / model.ramp, steepest / model.peak)
@@ -183,7 +183,7 @@ def ramp(over: Array, steepest: Array, model: MotionModel) -> Array:
 
 
 def _led_over(phases: Array) -> Array:
-    """From the least to the greatest speed (w) [m/s] around each way, which is what its ramps lead over."""
+    """Difference between the greatest and the least speed (w) [m/s] around each way: the height of its ramps."""
     v0, a, begin, even, b, end = phases.T
     middle = v0 + a * begin
     v1 = middle + b * end
@@ -203,10 +203,10 @@ def _led_over(phases: Array) -> Array:
 
 
 def _trapezoids(ways: _Ways, between: Array) -> Array:
-    """`Played.phases` (w, 6) of ways with even accelerations, at most so fast (w - 1) [m^2/s^2] from one to the next."""
+    """`Played.phases` (w, 6) of ways with constant accelerations; `between` (w - 1) bounds squared speeds [m^2/s^2]."""
     square = np.zeros(len(ways.index) + 1)  # of the speed at the ends of ways; at rest at the first and the last
     square[1:-1] = between
-    # the least of all earlier bounds, each raised by what can be gained since: a running minimum, both ways
+    # the least of all earlier bounds, each raised by what can be gained since: a running minimum, in both directions
     gain = np.concatenate([[0.0], np.cumsum(2.0 * ways.steepest * ways.length)])
     square = np.minimum(square, gain + np.minimum.accumulate(square - gain))
     square = np.minimum(square, np.minimum.accumulate((square + gain)[::-1])[::-1] - gain)
@@ -224,23 +224,23 @@ def _trapezoids(ways: _Ways, between: Array) -> Array:
 
 
 def _between(program: RobotProgram, cell: Cell, knots: PostureKnots, ways: _Ways, model: MotionModel) -> Array:
-    """Square of the speed (w - 1) [m^2/s^2] at which the robot may go from one way to the next: 0 where it rests."""
+    """Square of the speed (w - 1) [m^2/s^2] at which the robot may go from one way to the next; 0 where it rests."""
     k = len(knots.q)
     zone, fine = np.full(k, np.inf), np.zeros(k, dtype=bool)
     zone[knots.target] = program.zone
     fine[knots.target] = program.fine
-    # all knots that stand at one place, between the end of a way and the beginning of the next, count together
+    # knots at the same place, between the end of a way and the beginning of the next, count as one
     first, after = ways.index[:-1] + 1, ways.index[1:] + 1
     stops = np.concatenate([[0], np.cumsum(fine)])
     rests = stops[after] > stops[first]
     zone = np.minimum.reduceat(np.append(zone, np.inf), np.column_stack([first, after]).ravel())[::2]
     is_target = np.isfinite(zone)
     half = 0.5 * np.minimum(ways.length[1:], ways.length[:-1])
-    # within the zone of a target the speed goes over from one that is programmed to the next, half of it at the target
+    # within a target's zone the speed changes from one programmed speed to the next, half of it by the target
     low, high = np.minimum(ways.top[1:], ways.top[:-1]), np.maximum(ways.top[1:], ways.top[:-1])
     gain = 2.0 * np.minimum(ways.steepest[1:], ways.steepest[:-1]) * np.minimum(zone, half)
     change = np.where(is_target, np.minimum(0.5 * (low + high), low + gain), low)
-    # and joints from one direction to the next: there the zone may take half of the whole line, elsewhere there is none
+    # and the joints turn from one way to the next: a zone may take half of a whole line; other knots have no zone
     move = knots.move[ways.index]
     lines = np.bincount(move, ways.length)[move]
     whole = 0.5 * np.minimum(lines[1:], lines[:-1])
@@ -256,9 +256,9 @@ def _between(program: RobotProgram, cell: Cell, knots: PostureKnots, ways: _Ways
 def turned_at(share: Array, reach: Array, is_target: Flags, model: MotionModel) -> Array:
     """Square of the speed (k) [m^2/s^2] at which joints can turn from one way to the next.
 
-    share   joints' acceleration over how much their rate by metre changes, the least of all joints [m^2/s^2 by m]
-    reach   of the zone, to either side [m]: a turn has the time 2 reach / v + settling, and the joints' speeds change in
-            it by v / share times their accelerations
+    share   joint acceleration over the change in joint rate per metre, the least of all joints [m^2/s^2 per m]
+    reach   of the zone, to either side [m]: a turn takes a time of 2 reach / v + settling, and the joints' speeds
+            change in it by v / share times their accelerations
     """
     if model.settling <= 0.0:
         out: Array = 2.0 * reach * np.where(is_target, model.corner, 1.0) * share
@@ -271,7 +271,7 @@ def turned_at(share: Array, reach: Array, is_target: Flags, model: MotionModel) 
 
 
 def _shared(change: Array, turning: Array, is_target: Flags, model: MotionModel) -> Array:
-    """Both bounds on squares of speeds in one: the lesser, and where a model has it, somewhat less near equality."""
+    """Both bounds on squared speeds combined: the lesser or, with a model's `sharing`, less where they are close."""
     if not np.isfinite(model.sharing):
         return np.minimum(change, turning)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Where a controller's arm leaves the programmed lines: zones cut corners."""
+"""Where a controller's arm leaves the programmed lines: zones that cut corners, and lag."""
 
 from __future__ import annotations
 
@@ -9,22 +9,21 @@ from planner.base.compiled import njit
 from planner.export.player.played import Played
 from planner.export.program import RobotProgram
 
-TICK = 4e-3  # s between instants at which the path is looked at: those of a controller
-MOST_TICKS = 1_000_000  # of a program; longer ones are looked at more coarsely
+TICK = 4e-3  # [s] between instants at which the path is sampled, as in a controller
+MOST_TICKS = 1_000_000  # of a program; longer ones are sampled more coarsely
 
 
 def lagging_both_ways(way: Array, keep: float, moving: bool = False) -> Array:
-    """A way (k, n) through the filter that weighs what was commanded before and after by `keep` to the power of the ticks
-    between.
+    """A way (k, n) through a filter that weights what was commanded j ticks before and after by `keep` to the power j.
 
-    moving: beyond its ends it goes on along its first and last line, where it else rests
+    moving: beyond its ends the way continues along its first and last line; otherwise it rests there
     """
     late = _late(way, keep, moving)
     return _late(late[::-1] - late[-1], keep, moving)[::-1] + late[-1]
 
 
 def _late(way: Array, keep: float, moving: bool) -> Array:
-    """What follows a way (k, n) late, from rest, or as it has along its first line for long."""
+    """A way (k, n) followed with a lag, from rest or, if moving, from steady motion along its first line."""
     slope, out = way[1] - way[0] if moving else 0.0, np.empty(way.shape)
     _lagging(np.ascontiguousarray(way), keep, way[0] - slope / (1.0 - keep), out)
     return out
@@ -32,9 +31,10 @@ def _late(way: Array, keep: float, moving: bool) -> Array:
 
 @njit
 def _lagging(way: Array, keep: float, start: Array, out: Array) -> None:
-    """Fill `out` (k, n) with what follows a way (k, n) late, a tick before it at a start (n): of each tick a share of 1 - keep.
+    """Fill `out` (k, n) with a way (k, n) through a first-order lag: each tick closes a share 1 - keep of the distance.
 
-    As scipy's `lfilter`, digit by digit, whose package takes half a second to import.
+    start (n): where `out` is a tick before the way begins. Same digits as scipy's `lfilter`, whose package takes half a
+    second to import.
     """
     for j in range(way.shape[1]):
         before = keep * start[j]
@@ -51,7 +51,7 @@ def corner_depth(program: RobotProgram, played: Played) -> Array:
     moves = np.bincount(played.move, size, minlength=len(program.zone))
     knot = played.target[:-1]  # the last one is an end
     comes, goes = unit[knot - 1], unit[knot]
-    # an arc's direction at its end: half a chord's turn beyond that of its last chord
+    # an arc's direction at its end is turned beyond its last chord by half of the turn per chord
     arc, first, move = program.circular[played.move], np.maximum(knot - 2, 0), played.move
     turns = arc[knot - 1] & (move[first] == move[knot - 1])
     comes = np.where(turns[:, None], comes + 0.5 * (comes - unit[first]), comes)
@@ -59,6 +59,6 @@ def corner_depth(program: RobotProgram, played: Played) -> Array:
     turns = arc[knot] & (move[after] == move[knot])
     goes = np.where(turns[:, None], goes - 0.5 * (unit[after] - goes), goes)
     reach = np.minimum(program.zone[:-1], 0.5 * np.minimum(moves[:-1], moves[1:]))
-    # the middle of a parabola whose tangents reach so far to both sides
+    # the middle of a parabola whose tangents have length `reach` on both sides
     cut = 0.25 * reach * np.linalg.norm(goes - comes, axis=1)
     return np.append(np.where(program.fine[:-1], 0.0, cut), 0.0)

@@ -1,4 +1,4 @@
-"""A player of programs: what a controller would make of one, and what limits its pace."""
+"""A player of programs: how a controller would run one, and what limits its pace."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from planner.cell.cell import Cell
 
 # ----------------------------------------------------------------------------------------------------
-# Where something else than the programmed speed of the tip sets the pace while material is laid.
+# Where something other than the programmed speed of the tip sets the pace while material is laid.
 
 ACCELERATION = "accelerations of the joints"
-SHORT = 0.05  # of the programmed speed: less is not reported
+SHORT = 0.05  # share of the programmed speed; a smaller shortfall is not reported
 
 
 @dataclass(frozen=True)
 class Limited:
-    """Moves that lay material more slowly than programmed, all for one reason.
+    """Moves that lay material more slowly than programmed, all for the same reason.
 
-    by       what sets the pace instead of the tip: reorientation, an axis of the station, the speed limit of a joint, or
-             the joints' accelerations, which slow down before and after
+    by       what sets the pace instead of the tip: reorientation, an axis of the station, the speed limit of a joint,
+             or the joints' accelerations, which slow down before and after
     moves    how many; first: the first of them; worst: the one that falls short most
-    reached  by that one, of its programmed speed
+    reached  share of its programmed speed that the worst one reaches
     """
 
     by: str
@@ -50,14 +50,14 @@ class Limited:
 
 
 def limited(program: RobotProgram, played: Played) -> tuple[Limited, ...]:
-    """Why material is laid more slowly than programmed by more than 5 %, most moves first; nothing where it is not."""
+    """Why material is laid more than 5 % more slowly than programmed, most moves first; empty if it is not."""
     m = len(program.linear)
     steps = np.linalg.norm(np.diff(played.position, axis=0), axis=1)
     took = np.bincount(played.move, played.phases[:, TIMES].sum(axis=1), minlength=m)
     meant = np.bincount(played.move, steps, minlength=m) / program.speed[:, 0]
     reached = np.where(took > 0.0, meant / np.where(took > 0.0, took, 1.0), 1.0)
     late = laid_moves(played) & (reached < 1.0 - SHORT)
-    # of each move, what limits the longest of its ways that the tip does not limit
+    # for each move, what limits the longest of its ways that is not limited by the tip
     other = np.where(played.limit != TIP, played.length, 0.0)
     reason = np.full(m, TIP)
     order = np.argsort(other, kind="stable")
@@ -80,25 +80,26 @@ def _sorted(found: list[Limited]) -> tuple[Limited, ...]:
 # ----------------------------------------------------------------------------------------------------
 # The player.
 #
-# The model. Lines and arcs are followed exactly in the part, joint moves exactly in joints. The speed on every stretch is
-# that of the slowest of the tip, reorientation and the station's axes, each as programmed, and of the joints with their own
-# limits (ABB, RAPID reference: MoveL, speeddata). Speed changes as quickly as the cell's joint accelerations and the ramps of
-# the controller's model allow. At `fine` targets and in waits the robot stands still; corners are taken within their zones at
-# the speed at which joints can turn from one line to the next (zonedata: no longer than half of the neighbouring lines).
+# The model. Lines and arcs are followed exactly in the part frame, joint moves exactly in joint space. The speed on
+# each stretch is that of the slowest of the tip, reorientation and the station's axes, each as programmed, and of the
+# joints with their own limits (ABB, RAPID reference: MoveL, speeddata). Speed changes as quickly as the cell's joint
+# accelerations and the ramps of the controller's model allow. At `fine` targets and in waits the robot stands still;
+# corners are taken within their zones at the speed at which joints can turn from one line to the next (zonedata: no
+# longer than half of the neighbouring lines).
 #
-# What is played passes corners at their targets; how far inside the true path lies is told by `path.deviation`. Loads and
-# settling are left out. Logic after a fly-by target happens as the target is passed, where a controller runs ahead of the
-# motion by a fraction of a second.
+# The played path passes corners at their targets; `path.corner_depth` says how far inside the true path lies. Loads and
+# settling are left out. Logic after a fly-by target happens as the target is passed, whereas a controller runs ahead of
+# the motion by a fraction of a second.
 
-ORDER = {"output": 0, "demand": 1, "send": 2, "wait": 3}  # of what happens at the same time
+ORDER = {"output": 0, "demand": 1, "send": 2, "wait": 3}  # of simultaneous events
 
 
 def play(program: RobotProgram, cell: Cell, model: MotionModel = PLAIN) -> Played:
-    """A program over time, from its start posture at t = 0 to its last target; in time linear in its moves.
+    """A program over time, from its start posture at t = 0 to its last target; takes time linear in its moves.
 
-    The path is that of the cell's own nozzle, in the cell's own part frame, when the joints go where the program's
-    tool and work object send them. model: of the controller; the plain one does what a program says. Raises InputError
-    for targets that cannot be reached as the program says, and for axes that the cell has not.
+    The path is that of the cell's own nozzle, in the cell's own part frame, when the joints go where the program's tool
+    and work object send them. model: of the controller; the plain one does what a program says. Raises InputError for
+    targets that cannot be reached as the program says, and for axes that the cell does not have.
     """
     knots = knots_of(program, cell)
     times = pace(program, cell, knots, model)
@@ -122,7 +123,7 @@ def play(program: RobotProgram, cell: Cell, model: MotionModel = PLAIN) -> Playe
 
 
 def _events(program: RobotProgram, knots: PostureKnots, played: Played) -> tuple[ProgramEvent, ...]:
-    """All that the program switches, says and waits for, in order of time."""
+    """Everything that the program switches, sends and waits for, in order of time."""
     found: list[tuple[float, int, int, str, float, str]] = []
     for i, group in program.triggers.items():
         for trigger in group:
@@ -138,7 +139,7 @@ def _events(program: RobotProgram, knots: PostureKnots, played: Played) -> tuple
         found += [(t + rest, i, ORDER["send"], "send", 0.0, line) for rest, line in zip(rested, lines, strict=True)]
     for i in np.flatnonzero(program.wait > 0.0).tolist():
         found.append((float(played.arrive[i]), i, ORDER["wait"], "wait", float(program.wait[i]), ""))
-    found.sort(key=lambda event: event[:3])  # stable: lines of one place keep their order
+    found.sort(key=lambda event: event[:3])  # stable: lines at the same place keep their order
     places = played.at(np.array([event[0] for event in found])).position.tolist() if found else []
     return tuple(
         ProgramEvent(t, kind, move, (x, y, z), value, text)
@@ -147,7 +148,7 @@ def _events(program: RobotProgram, knots: PostureKnots, played: Played) -> tuple
 
 
 def _passed(knots: PostureKnots, played: Played, i: int, distance: float, from_start: bool) -> float:
-    """When the tip has a distance [m] from the start, or from the end, of move i: never outside of it [s]."""
+    """When the tip is at a distance [m] from the start, or from the end, of move i [s]; never outside the move."""
     last = int(knots.target[i])
     first = int(knots.target[i - 1]) if i else 0
     way = arc_lengths(knots.position[first : last + 1])

@@ -1,4 +1,4 @@
-"""A program that was played: where everything is at any time, and what happened when."""
+"""A program that was played: where everything is at any time, and what happens when."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from planner.export.fit import lerp, slerp
 # ----------------------------------------------------------------------------------------------------
 # The motion over time.
 
-# A way has three parts: from its first speed to the one that is then kept, and on to that of the next way.
+# A way has three phases: from its first speed to a constant speed, at that speed, and on to the next way's first speed.
 PHASES = ("speed", "first acceleration", "its time", "time of even speed", "last acceleration", "its time")
 TIMES = [2, 3, 5]
 
 
 @dataclass(frozen=True)
 class ProgramEvent:
-    """One thing that a program does beside moving.
+    """Something that a program does besides moving.
 
-    t         when it does it [s]
-    kind      "output" (text: the signal, value: 1 or 0), "demand" (value of the analog output), "send" (text: the line),
-              "wait" (value: how long [s])
-    move      index of the move to which it belongs; -1 before the first
+    t         when it happens [s]
+    kind      "output" (text: the signal, value: 1 or 0), "demand" (value of the analog output), "send" (text: the
+              line), "wait" (value: how long [s])
+    move      index of the move that it belongs to; -1 before the first
     position  of the nozzle's tip in the part frame [m]
     """
 
@@ -38,10 +38,10 @@ class ProgramEvent:
 
 @dataclass(frozen=True)
 class Moment:
-    """Where everything is at one or many times: each array has the shape of the times in front.
+    """Where everything is at one or many times; the shape of the times leads that of each array.
 
     q (..., n) joints in the cell's order [rad]; position (..., 3) [m] and quat (..., 4) x y z w of the nozzle in the
-    part frame; move (...) the move that is under way, or whose target the robot rests at
+    part frame; move (...) the current move, or the one at whose target the robot rests
     """
 
     q: Array
@@ -52,17 +52,17 @@ class Moment:
 
 @dataclass(frozen=True)
 class Played:
-    """A program over time (m moves; k knots, joints straight between each and the next; SI units, radians).
+    """A program over time (m moves; k knots with straight joint motion between them; SI units, radians).
 
     q, position, quat  (k, n), (k, 3), (k, 4) x y z w: joints, and the true nozzle in the part frame
-    move      (k - 1)     the move to which the way from each knot to the next belongs
-    leave     (k)         when the robot leaves a knot: later than it came there by what it waits [s]
+    move      (k - 1)     the move that the way from each knot to the next belongs to
+    leave     (k)         when the robot leaves the knot: after it arrives, by the time it waits there [s]
     length    (k - 1)     of the way, in metres of path (see pace.py)
-    phases    (k - 1, 6)  of each way, as PHASES has them [m/s, m/s^2, s, s, m/s^2, s]
-    limit     (k - 1)     what the top speed on it follows from: index into `limits`
+    phases    (k - 1, 6)  of each way, as in PHASES [m/s, m/s^2, s, s, m/s^2, s]
+    limit     (k - 1)     what limits the top speed on the way: index into `limits`
     target    (m)         the knot that is the target of each move
     arrive    (m)         when the robot reaches it [s]
-    strays                moves at whose end the posture is not of the configuration that the target names
+    strays                moves whose final posture does not have the configuration that the target names
     events                what else happens, in order of time
     """
 
@@ -82,7 +82,7 @@ class Played:
 
     @property
     def duration(self) -> float:
-        """When the robot has come to the last target and has waited there [s]."""
+        """When the robot has reached the last target and has waited there [s]."""
         return float(self.leave[-1])
 
     def at(self, t: float | Array) -> Moment:
@@ -101,7 +101,7 @@ class Played:
         )
 
     def reached(self, k: Indices, u: Array) -> Array:
-        """When (n) the fraction u (n) of the way from knots k (n) to the next ones is behind the robot [s]."""
+        """When (n) the robot has covered the fraction u (n) of the way from knots k (n) to the next ones [s]."""
         way = u * self.length[k]
         v, a, first, even, b, last = self.phases[k].T
         top = v + a * first
@@ -113,7 +113,7 @@ class Played:
         return out
 
     def gone(self, k: Indices, since: Array) -> Array:
-        """Metres of path (n) of the way from knots k (n) that are behind the robot a time (n) [s] after it left them."""
+        """Metres of path (n) that the robot has covered from knots k (n) at a time (n) [s] after it left them."""
         v, a, first, even, b, last = self.phases[k].T
         top = v + a * first
         t1 = np.clip(since, 0.0, first)
@@ -123,11 +123,11 @@ class Played:
         return out
 
 
-TINY = 1e-300  # keeps a division by no speed at all finite, where what is divided is 0 as well
+TINY = 1e-300  # keeps 0 / 0 finite where there is no speed at all
 
 
 def _time(v: Array, a: Array, way: Array) -> Array:
-    """How long (n) a way (n) [m] takes from the speed v [m/s] on with the acceleration a [m/s^2]."""
+    """How long (n) [s] a way (n) [m] takes from a speed v [m/s] at an acceleration a [m/s^2]."""
     out: Array = 2.0 * way / np.maximum(v + np.sqrt(np.maximum(v * v + 2.0 * a * way, 0.0)), TINY)
     return out
 
@@ -135,11 +135,11 @@ def _time(v: Array, a: Array, way: Array) -> Array:
 # ----------------------------------------------------------------------------------------------------
 # Where it lays material: spans of time, moves and targets.
 
-AT_ONCE = 1e-9  # s by which what happens at a target may miss it
+AT_ONCE = 1e-9  # [s] by which an event at a target may miss it
 
 
 def laid_spans(played: Played) -> Array:
-    """When the extruder goes on, and off again (b, 2) [s], whatever its outputs."""
+    """When the extruder goes on and off again (b, 2) [s], whichever output switches it."""
     spans, on = [], float("nan")
     for event in played.events:
         if event.kind == "output" and event.value and np.isnan(on):
@@ -151,7 +151,7 @@ def laid_spans(played: Played) -> Array:
 
 
 def laid_targets(played: Played) -> tuple[Flags, Flags]:
-    """Targets (m) within beads, and those at which beads begin or end."""
+    """Which targets (m) are within beads, and at which beads begin or end."""
     on, off = _around(played)
     arrive, leave = played.arrive, played.leave[played.target]
     edges = np.zeros(len(arrive), dtype=bool)
@@ -164,7 +164,7 @@ def laid_targets(played: Played) -> tuple[Flags, Flags]:
 
 
 def laid_moves(played: Played) -> Flags:
-    """Moves (m) on which material is laid from beginning to end."""
+    """Which moves (m) lay material from beginning to end."""
     on, off = _around(played)
     began = np.append(0.0, played.leave[played.target[:-1]])
     out: Flags = (began >= on - AT_ONCE) & (played.arrive > on + AT_ONCE) & (played.arrive <= off + AT_ONCE)
@@ -172,7 +172,7 @@ def laid_moves(played: Played) -> Flags:
 
 
 def _around(played: Played) -> tuple[Array, Array]:
-    """For each target (m) when the extruder last went on before the robot came there, and when it goes off after that."""
+    """For each target (m), when the extruder last went on before the robot arrived, and when it next goes off."""
     spans = np.vstack([[-np.inf, -np.inf], laid_spans(played)])
     k = np.searchsorted(spans[:, 0], played.arrive - AT_ONCE) - 1
     return spans[k, 0], spans[k, 1]

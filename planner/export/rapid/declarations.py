@@ -28,7 +28,7 @@ def external_text(external: Array) -> list[str]:
     unused = ",".join([UNUSED] * (RAPID_EXTERNAL_AXES - external.shape[1]))
     if not external.shape[1]:
         return [unused] * len(external)
-    external = np.round(external, 4) + 0.0  # turns minus nought into nought
+    external = np.round(external, 4) + 0.0  # turns minus zero into zero
     pattern = ",".join(["%.4f"] * external.shape[1]) + ("," + unused if unused else "")
     return [pattern % tuple(row) for row in external.tolist()]
 
@@ -41,7 +41,7 @@ def joints_text(degrees: Array) -> list[str]:
 # ----------------------------------------------------------------------------------------------------
 # Declarations: header, tool and work object, speeds.
 
-HEAD_ROOM = 1.5  # of reorientation and axis speeds over what the plan needs, so that the tip's speed alone governs
+HEAD_ROOM = 1.5  # × the plan's reorientation and axis speeds, so that the tip's speed alone governs
 TOOL_LOAD = "[1,[0,0,50],[1,0,0,0],0,0,0]"
 
 
@@ -56,14 +56,14 @@ def header(plan: Plan) -> list[str]:
 
 
 def pose_text(T: Array) -> str:
-    """A pose (4, 4) as RAPID has it: mm, quaternion w first."""
+    """A pose (4, 4) in RAPID's form: mm, quaternion w first."""
     p = ",".join(number(v, 3) for v in T[:3, 3] * 1e3)
     x, y, z, w = from_matrix(T[None, :3, :3])[0]
     return f"[[{p}],[{','.join(number(v, 7) for v in (w, x, y, z))}]]"
 
 
 def frames(plan: Plan) -> list[str]:
-    """Tool and work object, and what the controller's own configuration must say for them to be right."""
+    """Tool and work object, and the poses that the controller's own configuration must have for them to be right."""
     names, cell = plan.problem.program, plan.cell
     lines = [
         comment("The load below is a placeholder: identify it on the robot before the first run."),
@@ -116,17 +116,17 @@ def tool_of(plan: Plan) -> str:
 
 
 def speed_numbers(plan: Plan, moves: Moves) -> Array:
-    """Speeds (m + 1, 4) of the way to the start and of every move, as a speeddata has them: tip [mm/s], reorientation
-    [deg/s], axes that slide [mm/s] and that turn [deg/s]."""
-    # all digits that `speeds` writes, so that speeds of one name are one
+    """Speeds (m + 1, 4) of the way to the start and of each move, as in a speeddata: tip [mm/s], reorientation [deg/s],
+    sliding axes [mm/s], rotary axes [deg/s]."""
+    # rounded to the digits that `speeds` writes, so that speeds with the same name are equal
     top, *own = (float(f"{speed * 1e3:.6g}") for speed in (plan.problem.process.travel_speed, *moves.speed.tolist()))
     tip = np.where(moves.laid, own, np.clip(np.ceil(moves.speed * 1e3), 1.0, top))
     turn, axis, slide = np.degrees(moves.turn), np.degrees(moves.axis), moves.slide * 1e3
-    axis *= plan.cell.second_arm is None  # whose joints are not this task's
+    axis *= plan.cell.second_arm is None  # a second arm's joints do not belong to this task
     turn_max = with_head_room(float(turn.max()), 10.0)
     axis_max = with_head_room(float(axis.max(initial=0.0)), 10.0)
     slide_max = max(1000.0, 100.0 * float(np.ceil(HEAD_ROOM * float(slide.max(initial=0.0)) / 100.0)))
-    # where the tip hardly moves it cannot set the pace: there the turning does, at its real rate
+    # where the tip hardly moves it cannot set the pace: reorientation or axes do, at their real rates
     slow = (moves.speed < 1e-3) & (np.maximum(turn, axis) > 1.0)
     own_turn = np.where(slow, np.maximum(1.0, np.ceil(turn)), turn_max)
     own_axis = np.where(slow, np.maximum(1.0, np.ceil(axis)), axis_max)
@@ -148,18 +148,18 @@ def speeds(numbers: Array) -> tuple[list[str], list[str]]:
 
 
 def with_head_room(value: float, step: float) -> float:
-    """A speed above one that is needed, in steps, and of at least 100."""
+    """A speed with head-room above the one needed, rounded up to a multiple of `step`; at least 100."""
     return max(100.0, step * float(np.ceil(HEAD_ROOM * value / step)))
 
 
 def extruders(plan: Plan) -> dict[str, str]:
-    """The digital output of each extruder, by what its triggers end with: nothing for the first, then 2, 3, …"""
+    """The digital output of each extruder, by the suffix of its triggers: none for the first, then 2, 3, …"""
     outputs = [each.signal for each in materials_of(plan.problem)] or [plan.problem.program.extruder_signal]
     return {str(k) if k > 1 else "": signal for k, signal in enumerate(outputs, 1)}
 
 
 def zone_declarations(procedures: Sequence[Procedure]) -> list[str]:
-    """Declarations of the zones that are our own, and used."""
+    """Declarations of our own zones that are used."""
     text = [step[0] for procedure in procedures for step in procedure.steps]
     used = [name for name in OWN_ZONES if any(f",{name}," in move for move in text)]
     return [f"    CONST zonedata {name}:={OWN_ZONES[name]};" for name in used]

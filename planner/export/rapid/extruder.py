@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
-# Filament that beads take, apart from primes, retracts and purges.
+# Filament for beads, apart from primes, retracts and purges.
 
 
 def event_samples(trajectory: Trajectory) -> Indices:
-    """Samples at which the extruder begins or ends to move filament besides depositing: lines begin or end there."""
+    """Samples at which the extruder starts or stops moving filament other than for beads: lines begin or end there."""
     edges = [_samples(trajectory, event) for event in trajectory.events if event.amount != 0.0]
     return np.unique(np.array(edges, dtype=np.intp))
 
@@ -42,28 +42,28 @@ def _samples(t: Trajectory, event: Event) -> tuple[int, int]:
 # ----------------------------------------------------------------------------------------------------
 # Style `demand`: the flow on an analog output, as in Pollard et al.
 
-PERCENT = 0.01  # of the largest flow that is laid: the step of the demand
+PERCENT = 0.01  # share of the largest flow laid that is one step of the demand
 OUTPUT_DECIMALS = 4  # of the output's value
 
 
 @dataclass(frozen=True)
 class FlowDemand:
-    """What moves (m) ask for.
+    """Flow demanded by moves (m).
 
-    percent  (m,) of the largest flow that is laid, more where pressure is built up; 0 where no material is laid
-    top      output at that flow, in the output's own unit
+    percent  (m,) of the largest flow laid, more where pressure is built up; 0 where no material is laid
+    top      output at that largest flow, in the output's own unit
     """
 
     percent: NDArray[np.intp]
     top: float
 
     def value(self, percent: int) -> float:
-        """The output at a share of the largest flow that is laid."""
+        """The output at a percentage of the largest flow laid."""
         return round(self.top * PERCENT * percent, OUTPUT_DECIMALS)
 
 
 def flow(plan: Plan) -> Array:
-    """Volume of filament (n - 1) [m^3/s] that the motor feeds in each sample, for beads alone."""
+    """Volume flow of filament (n - 1) [m^3/s] that the motor feeds in each sample, for beads alone."""
     t = plan.trajectory
     area = np.broadcast_to(np.asarray(filament_areas(plan.problem, t.events, t.t)), t.t.shape)
     out: Array = np.maximum(np.diff(laid_filament(t)) / t.dt * area[1:], 0.0)
@@ -71,47 +71,47 @@ def flow(plan: Plan) -> Array:
 
 
 def demand_of(plan: Plan, moves: Moves) -> FlowDemand:
-    """Demand of each move: its mean flow. InputError where the largest one is beyond the output's range."""
+    """Demand of each move: its mean flow. InputError if the largest one is beyond the output's range."""
     t, program = plan.trajectory, plan.problem.program
     volume = np.concatenate([[0.0], np.cumsum(flow(plan)) * t.dt])
     a, b = moves.start, moves.sample
     mean = np.where(moves.laid, (volume[b] - volume[a]) / (t.t[b] - t.t[a]), 0.0)
     largest = float(mean.max(initial=0.0))
     base = largest
-    if plan.problem.process.extruder.lag > 0.0:  # pressure is built up many times as fast as material is laid
+    if plan.problem.process.extruder.lag > 0.0:  # building up pressure feeds many times as fast as laying material
         laid = np.where(moves.laid, (t.extruded[b] - t.extruded[a]) / (t.t[b] - t.t[a]), 0.0)
         base = min(largest, float(laid.max(initial=0.0)))
     top = largest * 1e9 * program.demand_scale
     if top > program.demand_most:
-        asked = f"{largest * 1e9:.3g} mm3/s ask for {top:.4g}, and the output goes to {program.demand_most:g}"
-        hint = f"program.demand_scale of at most {program.demand_most / (largest * 1e9):.3g}"
+        asked = f"{largest * 1e9:.3g} mm3/s requires {top:.4g}, and the output only goes up to {program.demand_most:g}"
+        hint = f"set program.demand_scale to at most {program.demand_most / (largest * 1e9):.3g}"
         raise InputError(asked, field="program.demand_scale", hint=hint, file=plan.problem.file)
     percent = np.round(mean / base / PERCENT) if base > 0.0 else np.zeros(len(mean))
     top = base * 1e9 * program.demand_scale
-    most = np.floor(program.demand_most / max(PERCENT * top, 1e-300) * (1.0 + 1e-9))  # which rounding may not pass
+    most = np.floor(program.demand_most / max(PERCENT * top, 1e-300) * (1.0 + 1e-9))  # rounding must not exceed it
     return FlowDemand(np.minimum(percent, most).astype(np.intp), top)
 
 
 # ----------------------------------------------------------------------------------------------------
 # Style `socket`: the lines of G-code that the program sends to the extruder's board, each at its place.
 #
-# As in Tawfik et al.: a line for every segment between two targets, sent before the robot sets out on it, with the filament
-# of that segment and the rate that takes as long as the robot does; and lines for what the extruder does at rest.
+# As in Tawfik et al.: one line for every segment between two targets, sent before the robot starts on it, with the
+# segment's filament and a rate that takes as long as the robot does; and lines for the extruder's actions at rest.
 
-SHORTEST = 0.02  # s that a line lasts, as in extruder.writer: a board that gets more than 50 lines/s may stutter
-LONGEST_LINE = 60  # characters: with number and line end it fits into a string of RAPID
+SHORTEST = 0.02  # [s] that a line lasts, as in export/extruder.py: a board that gets more than 50 lines/s may stutter
+LONGEST_LINE = 60  # characters: with number and line end it fits into a RAPID string
 RELATIVE = "M83"
-HEATS = ("M109", "M116", "M190")  # lines that the board acknowledges when all is hot,
+HEATS = ("M109", "M116", "M190")  # lines that the board acknowledges only when all is hot
 FILAMENT_DECIMALS = 5  # of filament [mm]
-LEAST_RATE = 1e-3  # mm/min, the least that is written
+LEAST_RATE = 1e-3  # [mm/min]; the least that is written
 COLUMNS = "n,bead,layer,t_s,text"
 
 
 @dataclass(frozen=True)
 class SocketLine:
-    """One line: `text`, sent `after` seconds of rest behind move `move` (-1: the start), planned at time t [s].
+    """One line: `text`, sent `after` seconds of rest after move `move` (-1: the start), planned at time t [s].
 
-    bead, layer  that it belongs to; bead -1 where it belongs to none
+    bead, layer  that it belongs to; bead -1 if it belongs to none
     """
 
     move: int
@@ -123,9 +123,9 @@ class SocketLine:
 
 
 def lines_of(plan: Plan, moves: Moves) -> tuple[SocketLine, ...]:
-    """All lines of a plan, in the order in which they are sent. Filament sums up to what the plan feeds, to 0.01 um.
+    """All lines of a plan, in sending order. Their filament adds up to what the plan feeds, to 0.01 um.
 
-    Raises InputError for a line of the problem's own that no string of RAPID can hold.
+    Raises InputError for a line from the problem that is too long for a RAPID string.
     """
     t = plan.trajectory
     due = [*((0.0, text, -1, 0) for text in first_lines(plan)), *_ordered(plan), *_feeding(t, moves)]
@@ -136,7 +136,7 @@ def lines_of(plan: Plan, moves: Moves) -> tuple[SocketLine, ...]:
         place = int(np.searchsorted(arrivals, at + 0.5 * t.dt, side="right")) - 1
         if len(text) > LONGEST_LINE:
             raise InputError(
-                f"{text[:LONGEST_LINE]}… is too long for a string of RAPID", hint=f"{LONGEST_LINE} characters"
+                f"{text[:LONGEST_LINE]}… is too long for a RAPID string", hint=f"at most {LONGEST_LINE} characters"
             )
         after = min(max(at - arrivals[place], 0.0), leaves[place] - arrivals[place])
         found.append(SocketLine(place - 1, float(after), at, bead, layer, text))
@@ -144,13 +144,13 @@ def lines_of(plan: Plan, moves: Moves) -> tuple[SocketLine, ...]:
 
 
 def first_lines(plan: Plan) -> tuple[str, ...]:
-    """What the board is told before all else: relative filament, and its tool where materials have no names."""
+    """The first lines sent to the board: relative filament, and its tool if materials have no names."""
     board = plan.problem.program.board
     return (RELATIVE, *(() if materials_of(plan.problem) else (select(board.firmware, board.first_tool),)))
 
 
 def table(lines: tuple[SocketLine, ...]) -> str:
-    """CSV of the lines by their numbers from 1, for whoever relays them: bead, layer and planned time [s] of each."""
+    """CSV of the lines, numbered from 1, for the relay: bead, layer and planned time [s] of each."""
     out = io.StringIO()
     out.write(COLUMNS + "\n")
     for n, line in enumerate(lines, 1):
@@ -159,14 +159,14 @@ def table(lines: tuple[SocketLine, ...]) -> str:
 
 
 def _ordered(plan: Plan) -> list[tuple[float, str, int, int]]:
-    """Lines of what the board is told besides moving filament: (time [s], text, bead, layer)."""
+    """Lines for the board other than moving filament: (time [s], text, bead, layer)."""
     t, fibre = plan.trajectory, plan.problem.process.fibre
     begin = float(t.t[0])
     cuts = {} if fibre is None else {cutter_starts(event, fibre): event for event in cuts_of(t)}
     found = []
     for order in orders(plan):
         at = order.start
-        if at in cuts:  # counted from the sample that rests, as the program's wait is
+        if at in cuts:  # counted from the sample at rest, like the program's wait
             at += float(t.t[samples_of_rest(t, cuts[at])[0]]) - cuts[at].start
         here = min(int(np.searchsorted(t.t, at)), len(t) - 1)
         found += [(at - begin, text, int(t.bead[here]), int(t.layer[here])) for text in order.lines if text[0] != ";"]
@@ -178,7 +178,7 @@ def _layer(t: Trajectory, at: float) -> int:
 
 
 def _feeding(t: Trajectory, moves: Moves) -> list[tuple[float, str, int, int]]:
-    """`G1 E F` for every segment and event in which filament moves: (time [s], text, bead, layer)."""
+    """`G1 E F` for each segment and event in which filament moves: (time [s], text, bead, layer)."""
     found = []
     for event in t.events:
         if event.amount != 0.0:
@@ -201,8 +201,8 @@ def _extrude(amount: float, lasts: float) -> str:
 
 
 def _whole(t: Trajectory) -> Indices:
-    """For every sample (n) the one whose filament counts there: a bead begins and ends up to a sample outside of those
-    that deposit, and has its filament to itself."""
+    """For each sample (n), the one whose total filament counts there: a bead begins and ends up to a sample outside
+    those that deposit, and its filament belongs to it alone."""
     own = np.arange(len(t))
     first, last = deposits(t)
     apart = np.diff(np.column_stack([first, last]).ravel())[1::2] > 2
@@ -212,16 +212,16 @@ def _whole(t: Trajectory) -> Indices:
 
 
 def _segments(t: Trajectory, moves: Moves) -> tuple[Indices, NDArray[np.int64]]:
-    """Samples (m + 1) between which a line lasts, and the bead (m) that it belongs to, or -1.
+    """Samples (m + 1) at the ends of lines, and the bead (m) that each line belongs to, or -1.
 
-    They are the targets; a segment that is too short for a line of its own goes with a neighbour of the same bead.
+    They are the targets; a segment that is too short for a line of its own is joined to a neighbour of the same bead.
     """
     cuts = np.unique(np.concatenate([[0, len(t) - 1], moves.start, moves.sample]))
     a, b = cuts[:-1], cuts[1:]
     bead = np.where(t.deposit[a] & t.deposit[b], np.minimum(t.bead[a], t.bead[b]), -1).astype(np.int64)
     at = t.t[cuts]
     runs = np.flatnonzero(np.append(bead[1:] != bead[:-1], True))  # the last segment of each bead
-    left = at[runs[np.searchsorted(runs, np.arange(len(bead)))] + 1] - at[:-1]  # until its end
+    left = at[runs[np.searchsorted(runs, np.arange(len(bead)))] + 1] - at[:-1]  # time until the bead's end
     enough, begun, keep = SHORTEST - 0.5 * t.dt, 0, [0]
     for i in range(1, len(bead)):
         if bead[i] != bead[i - 1] or (at[i] - at[begun] >= enough and left[i] >= enough):
@@ -231,18 +231,18 @@ def _segments(t: Trajectory, moves: Moves) -> tuple[Indices, NDArray[np.int64]]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Style `socket`: procedures that hand lines to a relay, and stop the robot when nobody takes them.
+# Style `socket`: procedures that pass lines to a relay, and stop the robot if nobody takes them.
 #
-# The controller is the server of one connection. Lines of ASCII, ended by LF, at most 80 characters:
-# `H module lines`, answered by `G 1`; `L n gcode`, n = 1, 2, 3 …; `E n` at the end; `X n reason` where it stops by itself.
-# The relay says `A n`: every line up to n was taken; and `S reason`: stop. See docs/rapid.md.
+# The controller is the server of a single connection. Lines are ASCII, end with LF, and have at most 80 characters:
+# `H module lines`, answered by `G 1`; `L n gcode`, n = 1, 2, 3 …; `E n` at the end; `X n reason` if it stops by itself.
+# The relay sends `A n`: every line up to n was taken; and `S reason`: stop. See docs/rapid.md.
 
-WINDOW = 16  # lines that may be on their way
-PATIENCE = 2  # s without an answer, after which the robot stops
-JOINING = 600  # s that the program waits for the relay to connect
-LATEST = 900  # s that it waits for lines that the board acknowledges when they are over, such as heating
-FIRST_PORT, LAST_PORT = 1025, 4999  # that a problem may ask for
-PIECE = 38  # bytes read at once, and longest line of the relay's: both together fit into a string of 80
+WINDOW = 16  # lines that may be in transit
+PATIENCE = 2  # [s] without an answer, after which the robot stops
+JOINING = 600  # [s] that the program waits for the relay to connect
+LATEST = 900  # [s] that it waits for lines that the board acknowledges when done, such as heating
+FIRST_PORT, LAST_PORT = 1025, 4999  # that a problem may choose
+PIECE = 38  # bytes read at once, and longest line from the relay: both together fit into a string of 80
 # procedures of the server that the program calls
 OPEN, LINE, SETTLE, END = "BwOpen", "BwLine", "BwSettle", "BwEnd"
 
@@ -392,18 +392,19 @@ _PROCEDURES = r"""
 
 
 def server_declarations() -> list[str]:
-    """Variables of the server, which stand before the first procedure."""
+    """Variables of the server, which come before the first procedure."""
     return _DECLARATIONS.strip("\n").split("\n")
 
 
 _OVER = ("        ClearPath;", "        StartMove;", "        EXIT;")
-# ABB, RAPID reference, SystemStopAction and StopMove: all motion tasks stop, none goes on before its program pointer is moved,
-# and what StopMove holds is let go when the task starts from its beginning. EXIT would leave the other one waiting.
+# ABB, RAPID reference, SystemStopAction and StopMove: all motion tasks stop, none continues before its program pointer
+# is moved, and StopMove's hold is released when the task starts from its beginning. EXIT would leave the other task
+# waiting.
 _BOTH_OVER = ("        SystemStopAction\\StopBlock;",)
 
 
 def server(module: str, lines: int, address: str, port: int, outputs: Iterable[str], alone: bool = True) -> list[str]:
-    """Procedures of the server of a program that sends so many lines; `outputs` are switched off where it stops.
+    """Procedures of the server of a program that sends `lines` lines; `outputs` are switched off when it stops.
 
     alone: no other task moves in step with this one.
     """

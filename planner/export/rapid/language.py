@@ -1,4 +1,4 @@
-"""RAPID as a language: its writer, and the check of a program against its plan, flow and lines to the board included."""
+"""RAPID as a language: its writer, and the check of a program against its plan, with flow and lines to the board."""
 
 from __future__ import annotations
 
@@ -33,19 +33,17 @@ if TYPE_CHECKING:
 __all__ = ["differences", "write"]
 
 SHIFTS = (-1, 0, 1)  # samples by which a target may be mistaken for its neighbour
-LONGER = (
-    20e-6  # m by which lines may be longer than their path from a bead's beginning, beside what both are as a whole
-)
-SPEED_ROUNDING = 1e-5  # of a speed: numbers of speeds have six digits
-SAME_ORIENTATION = 1e-6  # 1 - |cosine| of half the angle: 0.16 deg; numbers of quaternions have seven decimals
-SECOND_ROUNDING = 1e-5  # deg; joints of a second arm have five decimals
-AXIS_ROUNDING = 1e-5  # rad, or what is written in mm as if it were degrees: numbers of axes have four decimals
-ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
+LONGER = 20e-6  # [m] from a bead's beginning to a target: along lines, scaled to the bead's length, against the path
+SPEED_ROUNDING = 1e-5  # share of a speed; speeds have six digits
+SAME_ORIENTATION = 1e-6  # 1 - |cosine| of half the angle: 0.16 deg; quaternions have seven decimals
+SECOND_ROUNDING = 1e-5  # [deg]; joints of a second arm have five decimals
+AXIS_ROUNDING = 1e-5  # [rad], also for mm read as if they were degrees; axes have four decimals
+ROUNDING = 2e-6  # [m]; a trigger this close to a move's end, or start, counts as there
 _EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
 
 
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
-    """The program of the modules. InputError for an unknown line."""
+    """The program in the modules. InputError for an unknown line."""
     return read_rapid_files(files)
 
 
@@ -55,7 +53,7 @@ def programs(files: Mapping[str, str]) -> tuple[RobotProgram, ...]:
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
-    """Differences of the modules from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
+    """Differences of the modules from the plan beyond rounding and thinning. InputError for an unknown line."""
     parts, each = plan.stretches, read_rapid_stretches(files)
     if len(parts) != len(each):
         return [f"tools are changed {len(each) - 1} times, not {len(parts) - 1}"]
@@ -72,11 +70,11 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
 
 
 def posture_and_speed_differences(plan: Plan, program: RobotProgram) -> list[str]:
-    """What neither the path nor the time of beads shows: speeds of reorientation and of axes, the speed of the way to the
-    start, and orientation, configuration and axes of points on arcs' ways, each against the ones planned.
+    """Differences that neither the path nor the time of beads shows: in speeds of reorientation and axes, in the speed
+    of the way to the start, and in orientation, configuration and axes at via points of arcs.
 
-    A controller takes none of the latter (ABB, RAPID reference, MoveC: orientation and external axes of a circle point are
-    not used with `CirPathMode\\ObjectFrame`), but a program that has others was changed.
+    A controller ignores the latter (ABB, RAPID reference, MoveC: orientation and external axes of a circle point are
+    not used with `CirPathMode\\ObjectFrame`), but a program with other ones has been changed.
     """
     moves = rapid_moves(plan)
     speeds, arcs = speed_numbers(plan, moves) * SPEED_UNITS, np.flatnonzero(moves.circular)
@@ -86,7 +84,7 @@ def posture_and_speed_differences(plan: Plan, program: RobotProgram) -> list[str
     off = np.abs(program.speed - speeds) > SPEED_ROUNDING * speeds
     for column, of in ((1, "reorientation"), (2, "axes that slide"), (3, "axes that turn")):
         if (wrong := np.flatnonzero(off[:, column])).size:
-            found.append(f"speeds of {of} are not the planned ones in {len(wrong)} moves, first move {wrong[0]}")
+            found.append(f"speeds of {of} differ from the plan in {len(wrong)} moves, first move {wrong[0]}")
     if program.approach is None or (np.abs(program.approach - speeds[0]) > SPEED_ROUNDING * speeds[0]).any():
         found.append("the speed of the way to the start is not the planned one")
     if program.arc_postures is not None and len(arcs):
@@ -101,8 +99,8 @@ def posture_and_speed_differences(plan: Plan, program: RobotProgram) -> list[str
         if wrong.any():
             first = arcs[np.flatnonzero(wrong)[0]] + 1
             found.append(
-                f"{np.count_nonzero(wrong)} points on arcs' ways have another orientation, configuration or axes than"
-                f" planned, first move {first}"
+                f"{np.count_nonzero(wrong)} via points of arcs differ from the plan in orientation, configuration or"
+                f" axes, first move {first}"
             )
     return found
 
@@ -121,7 +119,7 @@ def station_differences(plan: Plan, program: RobotProgram) -> list[str]:
     moves = rapid_moves(plan)
     joints, speeds = second_joints(plan, moves.targets.station), second_speeds(plan, moves) * SPEED_UNITS
     if len(program.second) != len(speeds) + 1:
-        return found  # which is told of the nozzle's moves
+        return found  # reported for the nozzle's moves
     off = np.abs(np.degrees(program.external) - joints).max(axis=1) > SECOND_ROUNDING
     if off.any():
         found.append(
@@ -135,12 +133,12 @@ def station_differences(plan: Plan, program: RobotProgram) -> list[str]:
 
 
 def line_differences(plan: Plan, program: RobotProgram, table: str) -> list[str]:
-    """Every difference, in words, between the lines of a program and its plan, or the table that goes with them."""
+    """Every difference, in words, between the lines of a program and its plan, or the table that lists them."""
     sent = [text for move in sorted(program.sends) for text in program.sends[move]]
     planned = [text for order in orders(plan) for text in order.lines if not text.startswith(";")]
-    found = [] if _listed(table) == list(enumerate(sent, 1)) else ["the table of lines lists others than are sent"]
+    found = [] if _listed(table) == list(enumerate(sent, 1)) else ["the table lists other lines than are sent"]
     if [text for text in sent if not _EXTRUDES.fullmatch(text)] != [*first_lines(plan), *planned]:
-        found.append("the board is told other things than the plan's, or in another order")
+        found.append("the board is sent other orders than the plan's, or in another order")
     return found + _fed_otherwise(plan, sent) + _fed_elsewhere(plan, program)
 
 
@@ -152,7 +150,7 @@ def _listed(table: str) -> list[tuple[int, str]]:
 
 
 def _fed_otherwise(plan: Plan, sent: list[str]) -> list[str]:
-    """Tools that get another amount of filament than planned."""
+    """Tools that get a different amount of filament than planned."""
     filament: dict[int | None, float] = {}
     tool = None
     for text in sent:
@@ -164,9 +162,9 @@ def _fed_otherwise(plan: Plan, sent: list[str]) -> list[str]:
 
 
 def _fed_elsewhere(plan: Plan, program: RobotProgram) -> list[str]:
-    """Whether what was sent until a bead begins, or ends, is what the plan has fed by then, to a sample and a bit."""
+    """Whether the filament sent by the beginning, or end, of each bead is what the plan has fed by then."""
     t = plan.trajectory
-    amounts = np.zeros(len(program.linear) + 1)  # sent behind each move; the last one before all moves
+    amounts = np.zeros(len(program.linear) + 1)  # sent after each move; the last entry: before all moves
     for move, texts in program.sends.items():
         amounts[move] += sum(float(match[1]) * 1e-3 for match in map(_EXTRUDES.fullmatch, texts) if match)
     sent = np.concatenate([[0.0], np.cumsum(amounts[:-1])])
@@ -184,7 +182,7 @@ def _fed_elsewhere(plan: Plan, program: RobotProgram) -> list[str]:
 
 
 def demand_differences(plan: Plan, program: RobotProgram) -> list[str]:
-    """Whether each move in a bead asks for a flow that the plan has there, and nothing is asked for elsewhere."""
+    """Whether each move in a bead demands a flow that the plan has there, and no flow is demanded elsewhere."""
     t, scale = plan.trajectory, plan.problem.program.demand_scale * 1e9
     planned = flow(plan) * scale
     total = np.concatenate([[0.0], np.cumsum(planned)])
@@ -198,7 +196,7 @@ def demand_differences(plan: Plan, program: RobotProgram) -> list[str]:
     if len(edges) != 2 * len(first):
         return ["the extruder is not switched on and off once for each bead"]
     most = float(planned.max(initial=0.0))
-    if plan.problem.process.extruder.lag > 0.0:  # steps are of what is laid, apart from where pressure is built up
+    if plan.problem.process.extruder.lag > 0.0:  # steps refer to the flow laid, not to that which builds up pressure
         most = min(most, float(np.diff(t.extruded).max(initial=0.0)) / t.dt * scale)
     worst, wrong = 0.0, np.nan_to_num(asked, nan=1.0)
     for a, b, begin, end in zip(first.tolist(), last.tolist(), edges[::2], edges[1::2], strict=True):
@@ -214,8 +212,8 @@ def demand_differences(plan: Plan, program: RobotProgram) -> list[str]:
             here = float(planned[min(since) : max(max(until), min(since) + 1)].max(initial=most))
             worst = np.inf if np.isnan(off) else max(worst, off / max(PERCENT * here, 1e-300))
         wrong[begin + 1 : end + 1] = 0.0
-    found = [] if worst <= 1.01 else [f"a flow is asked for that is off by {worst:.3g} % of the largest"]
-    return found + (["a flow is asked for outside of beads"] if wrong.any() else [])
+    found = [] if worst <= 1.01 else [f"a demanded flow is off by {worst:.3g} % of the largest"]
+    return found + (["a flow is demanded outside beads"] if wrong.any() else [])
 
 
 def _asked(program: RobotProgram, lengths: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Modules of RAPID as they are read: exactly the statements that `writer` uses; anything else is an error with its line."""
+"""Parser of RAPID modules: exactly the statements that `writer` uses; anything else is an error with its line."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from planner.export.rapid.multimove import LISTED
 from planner.export.rapid.text import HOME, OWN_ZONES, ZONES
 
 # ----------------------------------------------------------------------------------------------------
-# Statements, and where each may stand in a module.
+# Statements, and where each is allowed in a module.
 
 NUMBER = r"-?[0-9]+(?:\.[0-9]+)?(?:E[0-9]+)?"
 _NUMBER = re.compile(NUMBER)
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,31}"
 NEST = r"\[[-0-9.,E\[\]]*\]"
-NEST_TARGET = r"\[\[[-0-9.,E]*(?:\],\[[-0-9.,E]*)*\]\]"  # ends where another one begins, whatever is in it
+NEST_TARGET = r"\[\[[-0-9.,E]*(?:\],\[[-0-9.,E]*)*\]\]"  # of any shape, but never runs into the next one
 NEST_ZONE = r"\[FALSE(?:,[0-9.]+){6}\]"
 POSE = r"\[\[[-0-9.,E]*\],\[[-0-9.,E]*\]\]"
 MOST_TRIGGERS = 8  # ABB, RAPID reference, TriggL: T1 to T8
 _TRIGGERS = rf"({NAME})((?:\\T[2-{MOST_TRIGGERS}]:={NAME})*)"
-# numbers of a target; almost every line is a move that has them, and is recognised at once
+# numbers of a target: almost every line is a move with these, and is recognised at once
 _TARGET = "],\\[".join(",".join([NUMBER] * count) for count in (3, 4, 4, 6))
 MISSHAPEN = "move without a target"
 _ZONE = "|".join(ZONES)
 _IDENTITY = (
-    r"(?:\\ID:=([1-9][0-9]{0,6}))?"  # of moves that two tasks make together; RAPID's nums are whole up to 8 388 608
+    r"(?:\\ID:=([1-9][0-9]{0,6}))?"  # of moves synchronised between tasks; RAPID's nums are exact up to 8 388 608
 )
 _END = rf"{_IDENTITY},({NAME})(?:,{_TRIGGERS})?,({_ZONE}),({NAME})\\WObj:=({NAME});"
 _MOVE = rf"(MoveJ|MoveL|MoveC|TriggL|TriggC) (?:({{target}}),)?({{target}}){_END}"
@@ -73,7 +73,7 @@ GRAMMAR = Grammar.of(
     },
 )
 DECLARATIONS = ("module", "tool", "wobj", "speed", "zone", "variable", "point", "tasks", "proc")
-UNIT = 1e-5  # by which a quaternion's length may miss 1: numbers have 7 decimals
+UNIT = 1e-5  # by which a quaternion's length may differ from 1; numbers have 7 decimals
 SPEED_UNITS = np.array([1e-3, np.pi / 180.0, 1e-3, np.pi / 180.0])  # of a speeddata
 SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
 
@@ -81,7 +81,7 @@ SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
 def numbers(nest: str, shape: str, statement: Statement) -> list[float]:
     """Flat numbers of a nested list such as [[1,2,3],[1,0,0,0]], whose inner lengths must be `shape`, e.g. [3,4].
 
-    Raises InputError with the statement's line where they are not.
+    Raises InputError, with the statement's line, if they are not.
     """
     groups = nest[2:-2].split("],[") if nest.startswith("[[") and nest.endswith("]]") else [nest[1:-1]]
     items = [group.split(",") for group in groups]
@@ -96,7 +96,7 @@ def numbers(nest: str, shape: str, statement: Statement) -> list[float]:
 
 def target_numbers(nests: Sequence[str]) -> Array:
     """Numbers (m, 17) of targets that are known to have the right shape."""
-    # one conversion for all: the same correctly rounded numbers as float() gives, in a tenth of the time
+    # one conversion for all: the same correctly rounded numbers as from float(), in a tenth of the time
     flat = ",".join(nests).translate(str.maketrans("", "", "[]"))
     return np.fromstring(flat, sep=",").reshape(len(nests), 17)
 
@@ -109,11 +109,11 @@ def pose(nest: str, statement: Statement) -> Array:
 
 @dataclass(frozen=True)
 class Module:
-    """What stands in a module.
+    """Contents of a module.
 
-    points, tasks  at which two tasks meet, and the name of their list; empty where there is none
-    server         lines of the socket's procedures, from `served` on, unread
-    fallback       of main's handlers
+    points, tasks  points at which two tasks meet, and the name of the list of tasks; empty if there are none
+    server         lines of the socket's procedures, from line `served` on, not parsed
+    fallback       lines of main's handlers
     """
 
     file: str
@@ -132,7 +132,7 @@ class Module:
 
 
 def parse(text: str, file: str) -> Module:
-    """The statements of one module. Raises InputError with the line for what is not known, or stands where it may not."""
+    """The statements of one module. Raises InputError, with the line, for anything unknown or misplaced."""
     parser = _Parser(file)
     raw = text.split("\n")
     begins = f"    PROC {OPEN}()"
@@ -144,7 +144,7 @@ def parse(text: str, file: str) -> Module:
     if not parser.closed:
         raise InputError("no complete module: ENDMODULE is missing", file=file)
     if parser.declared != (server_declarations() if served < len(raw) else []):
-        raise InputError("the variables of the socket are others than its procedures need", file=file, line=served)
+        raise InputError("the socket's variables are not those that its procedures need", file=file, line=served)
     return replace(parser.module, name=parser.name, tasks=parser.tasks, server=raw[served:closes], served=served + 1)
 
 
@@ -155,7 +155,7 @@ class _Parser:
         self.names: dict[str, int] = {}
         self.declared: list[str] = []
         self.current = ""
-        self.handling = False  # behind ERROR or UNDO of main
+        self.handling = False  # after ERROR or UNDO in main
         self.closed = False
 
     def take(self, text: str, line: int) -> None:
@@ -183,16 +183,16 @@ class _Parser:
             self.declare(statement)
         elif word == MISSHAPEN:
             for target in filter(None, statement.parts[VIA : TO + 1]):
-                numbers(target, SHAPE_TARGET, statement)  # says what is wrong with it
+                numbers(target, SHAPE_TARGET, statement)  # raises the error that says what is wrong
         else:
             self.module.procs[self.current].append(statement)
 
     def declare(self, statement: Statement) -> None:
         parts, module = statement.parts, self.module
         name = parts[0]
-        if name.lower() in self.names:  # RAPID does not tell capitals from small letters
+        if name.lower() in self.names:  # RAPID ignores case
             what = "procedure" if statement.word == "proc" else "name"
-            raise statement.error(f"{what} {name} stands there twice, first in line {self.names[name.lower()]}")
+            raise statement.error(f"{what} {name} is defined twice, first in line {self.names[name.lower()]}")
         self.names[name.lower()] = statement.line
         if statement.word == "module":
             self.name = name
@@ -200,13 +200,13 @@ class _Parser:
             module.tool[name] = pose(parts[1], statement)
         elif statement.word == "wobj":
             if (parts[1] == "FALSE") != bool(parts[2]):
-                raise statement.error("a work object moves if, and only if, it names a station")
+                raise statement.error("a work object must name a station if it moves, and only then")
             module.wobj[name] = (parts[2], pose(parts[3], statement), pose(parts[4], statement))
         elif statement.word == "speed":
             module.speeds[name] = numbers(parts[1], "[4]", statement)
         elif statement.word == "zone":
             if OWN_ZONES.get(name) != parts[1]:
-                raise statement.error(f"zone {name} is none that these programs have")
+                raise statement.error(f"zone {name} is not one that these programs have")
             module.zones.add(name)
         elif statement.word == "variable":
             module.triggers.add(name)

@@ -1,9 +1,10 @@
 """MultiMove: a second arm that moves the part in a task of its own, in step with the task that moves the nozzle.
 
-ABB, Application manual MultiMove (3HAC021272): moves with the same `\\ID` begin and end together, the slowest arm sets the
-pace of both; all moves between `SyncMoveOn` and `SyncMoveOff` have an identity, none is used twice, and both tasks have as
-many of them; identities of synchronisation points (`syncident`) are global and used once. A work object with `ufprog` FALSE
-and an arm in `ufmec` has its user frame at that arm's flange, and speeds in it are relative to it.
+ABB, Application manual MultiMove (3HAC021272): moves with the same `\\ID` begin and end together, and the slower arm
+sets the pace of both. All moves between `SyncMoveOn` and `SyncMoveOff` have an identity, none is used twice, and both
+tasks have equally many of them. Identities of synchronisation points (`syncident`) are global and used once. A work
+object with `ufprog` FALSE and an arm in `ufmec` has its user frame at that arm's flange, and speeds in it are relative
+to the flange.
 """
 
 from __future__ import annotations
@@ -48,24 +49,24 @@ PLACED, TOGETHER, APART = "bwPlaced", "bwTogether", "bwApart"  # points at which
 WAIT = f"        WaitSyncTask {PLACED},{TASK_LIST};"
 ON = f"        SyncMoveOn {TOGETHER},{TASK_LIST};"
 OFF = f"        SyncMoveOff {APART};"
-# where the program pointer is taken out of main, the task is no longer bound to the other one
+# when the program pointer is moved out of main, the task is no longer synchronised with the other one
 UNDO = ("    UNDO", "        SyncMoveUndo;")
 LISTED = "{2}:=[" + ",".join(f'["{task}"]' for task in TASKS.values()) + "]"
 DECLARED = (
     f"    PERS tasks {TASK_LIST}{LISTED};",
     *(f"    VAR syncident {name};" for name in (PLACED, TOGETHER, APART)),
 )
-UNUSED_SPEEDS = (1000.0, 100.0)  # of external axes, which the second arm's task has not [mm/s, deg/s]
-SLOW = 1e-3  # m/s of the nozzle's tip in the part: below, it does not set the pace
+UNUSED_SPEEDS = (1000.0, 100.0)  # of external axes, which the second arm's task does not have [mm/s, deg/s]
+SLOW = 1e-3  # [m/s] of the nozzle's tip in the part; below, it does not set the pace
 
 
 def identity(move: int) -> str:
-    """What a move has in common with the other arm's: its number, -1 being the planned start."""
+    """The identity that a move shares with the other arm's, from its number; -1 is the planned start."""
     return f"\\ID:={move + 2}"
 
 
 def second_name(name: str, unit: str) -> str:
-    """Name of the module that moves the part by a mechanical unit, from that of the module that moves the nozzle."""
+    """Name of the module that moves the part by a mechanical unit, from the name of the nozzle's module."""
     return numbered(name, ARMS.index(unit) + 1, LONGEST_NAME, "_Rob")
 
 
@@ -80,16 +81,16 @@ def nozzle_task(plan: Plan) -> str:
 
 
 def second_joints(plan: Plan, station: Array) -> Array:
-    """Joints (m, k) [deg] of the second arm, held ones as held, from those that move (m, f) of all that is beside the arm."""
+    """Joints (m, k) [deg] of the second arm, including held ones, from all moving axes (m, f) other than the arm's."""
     return external_written(plan.cell, station)[:, len(carrying_axes(plan.cell)) :]
 
 
 def second_speeds(plan: Plan, moves: Moves) -> Array:
-    """Speeds (m + 1, 4) of the second arm's flange in the world, as a speeddata has them: of its way to the start, then of
-    every move [mm/s, deg/s].
+    """Speeds (m + 1, 4) of the second arm's flange in the world, as in a speeddata: on its way to the start, then in
+    each move [mm/s, deg/s].
 
-    With head-room, so that the nozzle's own speed alone governs; where its tip hardly moves the second arm does, at its real
-    rate.
+    They have head-room, so that the nozzle's speed alone governs; where its tip hardly moves, the second arm sets the
+    pace, at its real rate.
     """
     t, cell = plan.trajectory, plan.cell
     flange = cell.flange_of_second_arm(np.ascontiguousarray(t.q[:, len(cell.arm) :]))
@@ -111,7 +112,7 @@ def second_speeds(plan: Plan, moves: Moves) -> Array:
 def second_modules(plan: Plan, moves: Moves, nozzle: Sequence[Procedure], zones: Sequence[str]) -> dict[str, str]:
     """Modules of the task that moves the part, by file name; the one with main first.
 
-    nozzle  all procedures of the other task: here are as many moves in each, with the same identities
+    nozzle  all procedures of the other task: each has as many moves here, with the same identities
     zones   of each move
     """
     name = second_module(plan)
@@ -172,7 +173,7 @@ def _about(plan: Plan) -> list[str]:
 
 
 def together(plan: Plan) -> list[str]:
-    """What runs where, in words."""
+    """Which modules run where, in words."""
     name = module_name(plan.name)
     return [
         f"MultiMove: {name}.mod in task {nozzle_task(plan)} and {second_module(plan)}.mod in {TASKS[moving_unit(plan)]} run at the",

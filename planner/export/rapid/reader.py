@@ -1,4 +1,4 @@
-"""Reader of RAPID: what the modules of a program do, statement by statement."""
+"""Reader of RAPID: runs the modules of a program, statement by statement."""
 
 from __future__ import annotations
 
@@ -41,29 +41,29 @@ _BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', 
 
 
 def read_rapid(text: str) -> RobotProgram:
-    """Program of RAPID text as `writer.rapid` writes it, in one module; else as `read_rapid_files`."""
+    """Program from RAPID text as `writer.rapid` writes it, in one module; otherwise like `read_rapid_files`."""
     return read_rapid_files({GRAMMAR.file: text})
 
 
 def read_rapid_files(files: Mapping[str, str]) -> RobotProgram:
-    """Program of the modules (*.mod) of `writer.rapid_files`, whatever else there is.
+    """Program from the modules (*.mod) of `writer.rapid_files`; other files are ignored.
 
-    Raises InputError with file and line for a statement, name or shape that is not known, for two tasks that do not fit
+    Raises InputError, with file and line, for an unknown statement, name or shape, for two tasks that do not fit
     together, and for several tools.
     """
     first, *others = read_rapid_stretches(files)
     if others:
-        reason = f"it changes its tool {len(others)} times: this is made for programs with one"
+        reason = f"it changes its tool {len(others)} times: this supports only programs with one tool"
         raise InputError(reason, file=next(iter(files)))
     return first
 
 
 def read_rapid_stretches(files: Mapping[str, str]) -> tuple[RobotProgram, ...]:
-    """What the modules do while each tool is in use, in order; the rest as `read_rapid_files`."""
+    """What the modules do while each tool is in use, in order; otherwise like `read_rapid_files`."""
     return _read(tuple((file, text) for file, text in files.items() if file.endswith(".mod") or file == GRAMMAR.file))
 
 
-@lru_cache(maxsize=1)  # what is written is held against its plan first, and then foretold
+@lru_cache(maxsize=1)  # a program is first compared with its plan, then used for the forecast
 def _read(files: tuple[tuple[str, str], ...]) -> tuple[RobotProgram, ...]:
     return _programs([parse(text, file) for file, text in files])
 
@@ -109,13 +109,13 @@ class _NozzleRun(TaskRun):
         at = len(self.moves) - 1
         if word == "move":
             if self.around[1]:
-                raise statement.error("a move behind the end")
+                raise statement.error("a move after the end")
             self.go(statement, parts[ID], parts[AT])
         elif word == "absolute":
             _, identity, _, zone, tool, wobj = parts
             self.begin(statement, identity, zone)
             known(statement, tool, self.module.tool)
-            if wobj or not self.module.tasks:  # one that another task moves is for moves in step with it
+            if wobj or not self.module.tasks:  # a work object that another task moves is only for synchronised moves
                 known(statement, wobj, () if self.module.tasks else self.module.wobj)
         elif word in ("trigger", "demand"):
             distance, from_start, signal, value = (
@@ -133,7 +133,7 @@ class _NozzleRun(TaskRun):
                 self.flows.add(signal)
         elif word in AROUND:
             if self.begun and not self.moves:
-                raise statement.error("it stands between the start and the first move")
+                raise statement.error("it is between the start and the first move")
             self.around[bool(self.moves)].add(" ".join(parts))
         elif word == "wait":
             if at < 0:
@@ -149,13 +149,13 @@ class _NozzleRun(TaskRun):
             self.calls.append(parts[0])
 
     def check_around(self) -> None:
-        """Outputs are off before and after, the station is active, and singularities and configurations are as written."""
+        """Check that outputs are off before and after motion, the station is active, and settings are as written."""
         station = next(iter(self.module.wobj.values()))[0]
         off = {f"{signal} 0" for signal in (*self.outputs, *self.flows)}
         station = "" if self.module.tasks else station  # an arm's unit is always active
         before = off | SETTINGS | ({f"ActUnit {station}"} if station else set())
         after = off | ({f"DeactUnit {station}"} if station else set())
-        for where, found, wanted in zip(("before", "behind"), self.around, (before, after), strict=True):
+        for where, found, wanted in zip(("before", "after"), self.around, (before, after), strict=True):
             if found != wanted:
                 other = ", ".join(sorted(found ^ wanted))
                 raise InputError(
@@ -163,7 +163,7 @@ class _NozzleRun(TaskRun):
                 )
 
     def stretches(self) -> tuple[RobotProgram, ...]:
-        """What is done while each tool is in use."""
+        """The program while each tool is in use."""
         if not self.begun or not self.moves:
             raise InputError("no moves", file=GRAMMAR.file)
         self.check_server()
@@ -171,7 +171,7 @@ class _NozzleRun(TaskRun):
         return tuple(self.program(start, end) for start, end in zip(self.begun, ends, strict=True))
 
     def program(self, start: ToolStart, end: int) -> RobotProgram:
-        """What is done up to a move (its number) while a tool is in use."""
+        """The program up to a move (its number) while a tool is in use."""
         speeds, triggers, module = [], {}, self.module
         moves, first_move = self.moves[start.first : end], start.first
         asks: dict[int, list[tuple[float, bool, float]]] = {}
@@ -186,9 +186,9 @@ class _NozzleRun(TaskRun):
                     known(move, name, names)
             speeds.append(self.speed(move, speed))
             if bool(first) != word.startswith("Trigg"):
-                raise move.error("TriggL and TriggC, and nothing else, have triggers")
+                raise move.error("only TriggL and TriggC have triggers, and must have them")
             if bool(via) != word.endswith("C"):
-                raise move.error("MoveC and TriggC, and nothing else, have a point on the way")
+                raise move.error("only MoveC and TriggC have a via point, and must have one")
             if first:
                 used = self.used(move)
                 if switches := tuple(self.trigger[name] for name in used if name in self.trigger):
@@ -239,15 +239,15 @@ class _NozzleRun(TaskRun):
 
     @staticmethod
     def check_orientations(moves: Sequence[Statement], targets: Array) -> None:
-        """Raises InputError for the first of some moves whose target (m, 17) has a quaternion that is none of a rotation,
-        at which a controller stops."""
+        """Raise InputError for the first move whose target (m, 17) has a quaternion that is not of unit length, which
+        stops a controller."""
         length = np.linalg.norm(targets[:, 3:7], axis=1)
         wrong = np.flatnonzero(np.abs(length - 1.0) > UNIT)
         if len(wrong):
             raise moves[wrong[0]].error(f"an orientation whose quaternion has length {length[wrong[0]]:.5g}, not 1")
 
     def used(self, move: Statement) -> list[str]:
-        """The triggers of a move, T1, T2 and so on."""
+        """The triggers of a move, in order: the first, T2, T3 and so on."""
         numbered = [each.split(":=") for each in move.parts[MORE].split("\\")[1:]]
         if [number for number, _ in numbered] != [f"T{k}" for k in range(2, len(numbered) + 2)]:
             raise move.error("the triggers are not numbered T2, T3, …")
@@ -255,7 +255,7 @@ class _NozzleRun(TaskRun):
         return [known(move, name, declared) for name in (move.parts[FIRST], *(name for _, name in numbered))]
 
     def check_server(self) -> None:
-        """The socket's procedures must stand there as they always do, whatever the address."""
+        """Check that the socket's procedures are exactly the standard ones, whatever the address."""
         module, written = self.module, self.module.server
 
         def error(reason: str, line: int = module.served) -> InputError:
@@ -264,10 +264,10 @@ class _NozzleRun(TaskRun):
         if not written and not self.calls and not self.sent:
             return
         if len(self.calls) != 2 or not written:
-            raise error("the socket is not opened and closed once each")
+            raise error("the socket must be opened once and closed once")
         binds = _BIND.search("\n".join(written))
         if binds is None or not FIRST_PORT <= int(binds[2]) <= LAST_PORT:
-            raise error("the socket is bound to nothing that it may be bound to")
+            raise error("the socket is bound to an address or port that is not allowed")
         expected = server(module.name, self.sent, binds[1], int(binds[2]), self.outputs, not module.tasks)
         for k, (line, right) in enumerate(itertools.zip_longest(written, expected), module.served):
             if line != right:

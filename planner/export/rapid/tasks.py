@@ -1,4 +1,4 @@
-"""Tasks of RAPID as they run: what main calls and loads, where two tasks wait for each other, and the one that moves the part."""
+"""Running RAPID tasks: what main calls and loads, where two tasks meet, and the task that moves the part."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from planner.plan import TRAVEL
 # ----------------------------------------------------------------------------------------------------
 # Any task.
 
-# What stands around the motion, in main alone: it must all be there, before the start or behind the last move.
+# Statements before and after the motion, only in main: all must be there, before the start or after the last move.
 AROUND = ("setting", "unit", "output", "demanded")
-ONLY_MAIN = ("call", "late", "load", "meet", *AROUND)  # what only main does
+ONLY_MAIN = ("call", "late", "load", "meet", *AROUND)  # allowed only in main
 MEETINGS = ("WaitSyncTask", "SyncMoveOn", "SyncMoveOff")  # of two tasks, once each and in this order
 _BEAD = re.compile(r"Bead(\d+)")  # procedures are numbered from 1
-BINDS = "both tasks wait for each other, move together and part, once each"
+BINDS = "both tasks must wait for each other, move together and part, once each"
 
 
 def radians(degrees: Array) -> Array:
@@ -36,7 +36,7 @@ def radians(degrees: Array) -> Array:
 
 
 def known(statement: Statement, name: str, names: Collection[str]) -> str:
-    """The name; raises InputError where it is none of some names."""
+    """The name; raises InputError if it is not among `names`."""
     if name not in names:
         raise statement.error(f"unknown name {name!r}")
     return name
@@ -44,8 +44,8 @@ def known(statement: Statement, name: str, names: Collection[str]) -> str:
 
 @dataclass(frozen=True)
 class ToolStart:
-    """Where a tool comes into use: its name, joints [deg] and name of the speed of the way there, and its first move
-    (number)."""
+    """Where a tool comes into use: its name, joints [deg], the name of the speed on the way there, and the number of
+    its first move."""
 
     tool: str
     joints: list[float]
@@ -54,16 +54,16 @@ class ToolStart:
 
 
 class TaskRun:
-    """What the modules of one task do, statement by statement; whoever derives takes all that moves or switches.
+    """Run of one task's modules, statement by statement; subclasses take the statements that move or switch.
 
     module     the one with main
-    begun      the start, and where a further tool comes into use
-    moves, zones, beads, identities   of all further moves: beads are those in whose procedures they stand, identities those
-               that they have in common with another task's
-    met        where the task waits for another one, and where both begin and end to move together
+    begun      the start, and where further tools come into use
+    moves, zones, beads, identities   of all further moves: beads are those whose procedures contain them, identities
+               are shared with another task's moves
+    met        where the task waits for the other one, and where synchronised motion begins and ends
     """
 
-    placed_first: ClassVar[bool]  # it goes to its start before it waits for the other task, not behind that
+    placed_first: ClassVar[bool]  # it goes to its start before it waits for the other task, not after
 
     def __init__(self, modules: Sequence[Module]) -> None:
         self.module, *others = sorted(modules, key=lambda each: "main" not in each.procs)
@@ -74,7 +74,7 @@ class TaskRun:
         self.moves: list[Statement] = []
         self.zones: list[str] = []
         self.beads: list[int] = []
-        self.bead = TRAVEL  # whose procedure is followed
+        self.bead = TRAVEL  # whose procedure is being followed
         self.identities: list[int] = []
         self.met: list[tuple[str, str]] = []
         for each in others:
@@ -89,27 +89,27 @@ class TaskRun:
                 each.server,
             )
             if any(declared):
-                raise InputError("a module that is loaded has procedures and nothing else", file=each.file)
+                raise InputError("a loaded module may have procedures and nothing else", file=each.file)
         first: dict[str, str] = {}
         for each in modules:
             for proc in each.procs:
                 there = first.setdefault(proc.lower(), each.file)
                 if there is not each.file:
-                    raise InputError(f"procedure {proc} stands there twice, first in {there}", file=each.file)
+                    raise InputError(f"procedure {proc} is defined twice, first in {there}", file=each.file)
 
     def take(self, statement: Statement) -> None:
         """A statement that moves, switches, waits or sends."""
         raise NotImplementedError
 
     def follow(self) -> None:
-        """Follow main to its end. Raises InputError where modules or meetings are not as they must be."""
+        """Follow main to its end. Raises InputError if modules or meetings are not as required."""
         file, loads = self.module.file, self._run()
         expected = [*(NOT_LOADED if loads else ()), *(UNDO if self.module.tasks else ())]
         if self.module.fallback != [line.strip() for line in expected]:
-            raise InputError("main handles other errors than that a module was not loaded", file=file)
+            raise InputError("main handles errors other than a module that was not loaded", file=file)
         if self.cleared != loads:
             left = ", ".join(sorted(loads - self.cleared))
-            raise InputError(f"what is loaded before it begins is not taken out: {left}", file=file)
+            raise InputError(f"modules that an earlier run may have left loaded are not unloaded: {left}", file=file)
         if set(self.others) != loads:
             raise InputError(f"not loaded: {', '.join(sorted(set(self.others) - loads))}", file=file)
         words = tuple(word for word, _ in self.met)
@@ -130,7 +130,7 @@ class TaskRun:
                     self.cleared.add(known(statement, name, self.others))
                     continue
                 if not self.zones or self.zones[-1] != "fine":
-                    raise statement.error("modules are loaded, and taken out, at rest")
+                    raise statement.error("modules may be loaded and unloaded only at rest")
                 if way == "UnLoad ":
                     self.loaded.pop(known(statement, name, self.loaded))
                 else:
@@ -172,25 +172,25 @@ class TaskRun:
         self.met.append((word, name))
 
     def begin(self, statement: Statement, identity: str, zone: str) -> None:
-        """The way to the start, which no other task's move goes with; behind it a change of the tool, which is made at rest.
+        """The way to the start, which is not synchronised with another task; later, a change of tool, made at rest.
 
-        Raises InputError for any other."""
+        Raises InputError otherwise."""
         joints, _, speed, _, tool, _ = statement.parts
         if self.begun and (not self.moves or self.begun[-1].tool == tool or self.module.tasks):
-            raise statement.error("MoveAbsJ is for the start, and for a change of the tool")
+            raise statement.error("MoveAbsJ is only for the start and for a change of tool")
         if self.begun and (self.zones[-1] != "fine" or self.begun[-1].first == len(self.moves)):
-            raise statement.error("a tool is changed at rest")
+            raise statement.error("a tool may be changed only at rest")
         if identity or zone != "fine":
-            raise statement.error("the way to the start ends at rest, and has no \\ID")
+            raise statement.error("the way to the start must end at rest, without \\ID")
         there = numbers(joints, SHAPE_JOINTS, statement)
         self.begun.append(ToolStart(tool, there, known(statement, speed, self.module.speeds), len(self.moves)))
 
     def go(self, statement: Statement, identity: str, zone: str) -> None:
-        """A move. Raises InputError where it has, or lacks, an identity that it may not have, or must."""
+        """A move. Raises InputError if it has an identity that it must not have, or lacks one that it needs."""
         together = len(self.met) == 2
         if bool(identity) != together:
             raise statement.error(
-                "no \\ID, though both arms move together" if together else "an \\ID outside of SyncMoveOn"
+                "no \\ID, though both arms move together" if together else "an \\ID outside SyncMoveOn"
             )
         if identity:
             if self.identities and int(identity) <= self.identities[-1]:
@@ -203,7 +203,7 @@ class TaskRun:
         self.beads.append(self.bead)
 
     def speed(self, statement: Statement, name: str) -> list[float]:
-        """The numbers of a speeddata. Raises InputError for one that is not known, or stands still."""
+        """The numbers of a speeddata. Raises InputError if it is unknown, or has a speed of 0."""
         found = self.module.speeds[known(statement, name, self.module.speeds)]
         if min(found) <= 0.0:
             raise statement.error(f"{name} has a speed that is not above 0")
@@ -215,7 +215,7 @@ class TaskRun:
 
 
 class SecondRun(TaskRun):
-    """The task of a second arm, whose flange carries the part: it moves by joints, and does nothing else."""
+    """The task of a second arm, whose flange carries the part; it only moves to joint targets."""
 
     placed_first = True
 
@@ -223,11 +223,11 @@ class SecondRun(TaskRun):
         super().__init__(modules)
         tools = list(self.module.tool.values())
         if len(tools) != 1 or np.abs(tools[0] - [0, 0, 0, 0, 0, 0, 1]).max() > 0.0 or self.module.triggers:
-            raise InputError("the task that moves the part has one tool, at its flange", file=self.module.file)
+            raise InputError("the task that moves the part must have one tool, at its flange", file=self.module.file)
         self.follow()
 
     def take(self, statement: Statement) -> None:
-        """A move to joints: the way to the start, or one that goes with a move of the other task."""
+        """A move to joints: the way to the start, or a move synchronised with one of the other task."""
         if statement.word != "absolute":
             raise statement.misplaced("in the task that moves the part")
         _, identity, _, zone, tool, wobj = statement.parts
@@ -240,7 +240,7 @@ class SecondRun(TaskRun):
 def moved_together(program: RobotProgram, nozzle: TaskRun, second: SecondRun) -> RobotProgram:
     """The nozzle's program with the moves of the arm that moves the part.
 
-    Raises InputError where a controller would not run both, or one would wait for the other for ever.
+    Raises InputError if a controller would not run both, or one would wait for the other for ever.
     """
     file = second.module.file
     if (nozzle.module.tasks, nozzle.met) != (second.module.tasks, second.met):
@@ -257,12 +257,12 @@ def moved_together(program: RobotProgram, nozzle: TaskRun, second: SecondRun) ->
     if program.station not in TASKS:
         raise InputError(f"its work object is moved by {program.station!r}, not by an arm", file=nozzle.module.file)
     if not (np.isnan(program.external).all() and np.isnan(program.start[6:]).all()):
-        raise InputError("it has external axes beside a second arm", file=nozzle.module.file)
+        raise InputError("it has external axes besides a second arm", file=nozzle.module.file)
     joints = radians(
         np.array([second.begun[0].joints, *(numbers(each.parts[0], SHAPE_JOINTS, each) for each in second.moves)])
     )
     if np.isnan(joints[:, :6]).any() or not np.isnan(joints[:, 6:]).all():
-        raise InputError("a target of other axes than the arm's six joints", file=file)
+        raise InputError("a target with axes other than the arm's six joints", file=file)
     speeds = [
         second.module.speeds[second.begun[0].approach],
         *(second.speed(each, each.parts[2]) for each in second.moves),

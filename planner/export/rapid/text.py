@@ -15,30 +15,30 @@ from planner.export.text import ascii_comment
 # ----------------------------------------------------------------------------------------------------
 # Names and comments.
 
-# ABB, RAPID reference: data, types, instructions and functions that a problem could be named after, and a module must not be
+# ABB, RAPID reference: data, types, instructions and functions that a problem may be named after, but not a module
 PREDEFINED = """abs acos add asin atan base bool break byte clear clock close cos decr dim distance dnum exp incr load num offs
     open orient pos pose pow present reset rewind round save set sin sqrt stop string switch tan task trunc unload user
     write"""
 # ABB, RAPID reference, zonedata: radius of the zone of the tool's path [m]
 ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3, "z5": 5e-3, "z10": 10e-3}
-# And our own, for corners that z0, or zon0_1, would cut by too much: radius of tool path, and of reorientation, external
-# axes [mm]; the same as angles [deg]
+# our own zonedata, for corners that z0, or zon0_1, would cut too much: radius for tool path, reorientation and external
+# axes [mm], then as angles [deg]
 OWN_ZONES = {"zon0_1": "[FALSE,0.1,0.1,0.1,0.01,0.1,0.01]", "zon0_02": "[FALSE,0.02,0.02,0.02,0.002,0.02,0.002]"}
 ZONES |= {"zon0_1": 0.1e-3, "zon0_02": 0.02e-3}
 LONGEST_STRING = 80
-NOTE = "Note: "  # begins a comment in the header that users should read
+NOTE = "Note: "  # begins a header comment that users should read
 _NOTE = re.compile(rf" {{4}}! {NOTE}(.*)\n {{4}}!   (first .*)\n")
 
 
 def module_name(name: str, longest: int = LONGEST_NAME) -> str:
-    """CamelCase module name, at most `longest` letters and digits, of a problem's name."""
+    """CamelCase module name, at most `longest` letters and digits, from a problem's name."""
     words = re.findall(r"[A-Za-z0-9]+", name)
     joined = "".join(word[0].upper() + word[1:] for word in words)
-    # capitals and small letters are one to RAPID: a problem named "test" would open a TEST statement
+    # RAPID ignores case: a problem named "test" would open a TEST statement
     taken = joined.lower() in RAPID_WORDS.union(PREDEFINED.split()) or OWN_NAMES.fullmatch(joined)
     similar = re.fullmatch(r"(?i)(bead|vel|trg|bw)\w*", joined)
     whole = "Print" + joined if taken or similar or not joined[:1].isalpha() else joined
-    resumed = re.search(r"From\d+$", whole)  # which tells programs of one problem apart
+    resumed = re.search(r"From\d+$", whole)  # distinguishes programs of the same problem
     tail = resumed[0] if resumed else ""
     return whole[: longest - len(tail)] + tail if len(whole) > longest else whole
 
@@ -49,7 +49,7 @@ def comment(text: str, indent: int = 4) -> str:
 
 
 def written_notes(text: str) -> tuple[str, ...]:
-    """The notes in the header of a main module, in words."""
+    """The notes in the header of a main module."""
     return tuple(f"{words}; {where}" for words, where in _NOTE.findall(text))
 
 
@@ -61,9 +61,9 @@ def written_notes(text: str) -> tuple[str, ...]:
 class Procedure:
     """A procedure without parameters.
 
-    about  comments before all else
-    steps  statements of each move: what it is, and what is done when it has ended
-    rests  the robot is at rest when it ends
+    about  comments at its beginning
+    steps  statements of each move: the move, then whatever is done after it
+    rests  the robot is at rest when the procedure ends
     """
 
     name: str
@@ -73,12 +73,12 @@ class Procedure:
 
     @property
     def text(self) -> list[str]:
-        """Its lines, and an empty one."""
+        """Its lines, followed by an empty one."""
         inner = [statement for step in self.steps for statement in step]
         return [f"    PROC {self.name}()", *self.about, *inner, "    ENDPROC", ""]
 
     def resting(self) -> Procedure:
-        """The same, with the robot at rest when it ends."""
+        """The procedure, with the robot at rest when it ends."""
         if self.rests:
             return self
         move, *rest = self.steps[-1]
@@ -87,7 +87,7 @@ class Procedure:
         return replace(self, steps=(*self.steps[:-1], (move, *rest)), rests=True)
 
     def parts(self, most: int) -> list[Procedure]:
-        """The same motion in procedures of at most so many moves, to be called one after the other without a stop."""
+        """The same motion in procedures of at most `most` moves, to be called one after the other without a stop."""
         count = -(-len(self.steps) // most)
         if count <= 1:
             return [self]
@@ -108,7 +108,7 @@ class Procedure:
 # Modules of a long program, which main loads when it needs them.
 
 HOME = "HOME:"  # the folder on the controller from which modules are loaded
-# What was loaded when a program was stopped may be older than the files: it is taken out before all motion, where it is.
+# Modules still loaded from a stopped run may be older than the files, so they are unloaded before any motion.
 NOT_LOADED = (
     "    ERROR",
     "        IF ERRNO=ERR_UNLOAD THEN",
@@ -120,7 +120,7 @@ NOT_LOADED = (
 
 @dataclass(frozen=True)
 class Loaded:
-    """A module that is loaded on the way: its name, and its procedures."""
+    """A module that is loaded at run time: its name, and its procedures."""
 
     name: str
     procedures: tuple[Procedure, ...]
@@ -132,13 +132,13 @@ class Loaded:
         return "\n".join([f"MODULE {self.name}", *inner, "ENDMODULE", ""])
 
 
-Batch = tuple[Loaded, ...]  # modules that are loaded together: a bead that fills several must not wait within
+Batch = tuple[Loaded, ...]  # modules loaded together: a bead that spans several must not wait within
 
 
 def batches_of(name: str, procedures: Sequence[Procedure], most: int) -> tuple[Batch, ...]:
-    """Procedures in modules of at most `most` moves, loaded where the robot rests, or where it travels if it never does.
+    """Procedures in modules of at most `most` moves, loaded where the robot rests, or during travel if it never does.
 
-    name: of the main module, from which those of the others are made.
+    name: of the main module, from which the others' names are derived.
     """
     groups: list[list[list[Procedure]]] = []  # batches of modules of procedures
     gathered: list[Procedure] = []
@@ -164,7 +164,7 @@ def batches_of(name: str, procedures: Sequence[Procedure], most: int) -> tuple[B
 
 
 def unloading(batches: Sequence[Batch]) -> list[str]:
-    """Statements of main that take out what an earlier run has left, in the order of the modules."""
+    """Statements of main that unload what an earlier run has left loaded, in the order of the modules."""
     return [_unload(module) for batch in batches for module in batch]
 
 
@@ -173,7 +173,7 @@ def _unload(module: Loaded) -> str:
 
 
 def running(batch: Batch) -> list[str]:
-    """Statements of main that load a batch, call its procedures, and take it out again."""
+    """Statements of main that load a batch, call its procedures, and unload it again."""
     return [
         *(f'        Load \\Dynamic,"{HOME}"\\File:="{module.name}.mod";' for module in batch),
         *(f'        %"{procedure.name}"%;' for module in batch for procedure in module.procedures),

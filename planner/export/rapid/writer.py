@@ -1,4 +1,4 @@
-"""Writer of RAPID for ABB controllers (IRC5 and OmniCore): modules with their targets written in the moves."""
+"""Writer of RAPID for ABB controllers (IRC5 and OmniCore): modules with targets inline in the moves."""
 
 from __future__ import annotations
 
@@ -86,17 +86,17 @@ if TYPE_CHECKING:
 
 
 def quadrants(q: Array) -> NDArray[np.intp]:
-    """cf1, cf4, cf6 (m, 3): the quarter turns of joints 1, 4 and 6 of postures of the arm's own joints (m, >= 6) [rad]."""
+    """cf1, cf4, cf6 (m, 3): quarter turns of joints 1, 4 and 6 in postures of the arm's own joints (m, >= 6) [rad]."""
     return np.floor(np.round(np.degrees(q[:, [0, 3, 5]]) / 90.0, 9)).astype(np.intp)
 
 
 def targets(plan: Plan, moves: Moves) -> list[str]:
-    """Robtargets of the first sample and of every move."""
+    """Robtargets of the first sample and of each move."""
     return _robtargets(plan, moves.targets, moves.q, np.concatenate([[0], moves.sample]))
 
 
 def via_targets(plan: Plan, moves: Moves) -> list[str]:
-    """Robtargets in the middle of arcs, and of every other move, where they go unused."""
+    """Robtargets of the via points of arcs; those of other moves are unused."""
     return _robtargets(plan, moves.via, moves.q[1:], moves.sample)
 
 
@@ -117,17 +117,17 @@ def _robtargets(plan: Plan, poses: Poses, q: Array, sample: Indices) -> list[str
 
 
 def _own_axes(plan: Plan, station: Array) -> Array:
-    """The external axes (m, k) [deg, mm] that this task moves, from all those beside the arm that move (m, f)."""
+    """The external axes (m, k) [deg, mm] of this task, from all moving axes (m, f) other than the arm's."""
     return external_written(plan.cell, station)[:, : len(task_axes(plan.cell))]
 
 
 # ----------------------------------------------------------------------------------------------------
-# Triggers: outputs that are switched in motion.
+# Triggers: outputs that are switched during motion.
 
 
 @dataclass(frozen=True)
 class Triggers:
-    """names: all there are; settings: their statements; of: move → names of its triggers, in order."""
+    """Triggers of a program: their names, the statements that set them, and move → names of its triggers, in order."""
 
     names: tuple[str, ...]
     settings: tuple[str, ...]
@@ -135,7 +135,7 @@ class Triggers:
 
 
 def triggers_of(plan: Plan, moves: Moves, demand: FlowDemand | None) -> Triggers:
-    """Triggers of a plan: digital outputs on and off at a bead's ends, and with a demand, the flow of what follows."""
+    """Triggers of a plan: digital outputs on and off at the ends of beads and, with a demand, the next move's flow."""
     switches = {
         f"{name}{k}": f"TriggIO {name}{k},0{where}\\DOp:={signal},{value};"
         for k, signal in extruders(plan).items()
@@ -172,7 +172,7 @@ def _switching(plan: Plan, moves: Moves) -> dict[int, list[str]]:
 
 
 def _asking(moves: Moves, demand: FlowDemand) -> dict[int, list[tuple[int, bool]]]:
-    """Move → (percent of the largest flow, at its start) that it sets: at its end, for what follows."""
+    """Move → (percent of the largest flow, whether at its start) that it sets; at its end, for the next move."""
     of: dict[int, list[tuple[int, bool]]] = {}
     now = 0
     for i in (moves.laid | moves.on_end | moves.on_start | moves.off_end).nonzero()[0].tolist():
@@ -188,7 +188,7 @@ def _asking(moves: Moves, demand: FlowDemand) -> dict[int, list[tuple[int, bool]
 
 
 # ----------------------------------------------------------------------------------------------------
-# Procedures: the start, one for each bead with the way to it, and the way home.
+# Procedures: the start, one for each bead with the approach to it, and the way home.
 
 
 def procedures_of(
@@ -200,9 +200,9 @@ def procedures_of(
     change: int = 0,
     last: bool = True,
 ) -> list[Procedure]:
-    """All procedures with moves, in the order of calling; speeds: names, of the way to the start and of every move.
+    """All procedures with moves, in calling order; speeds: names for the way to the start and for each move.
 
-    change: how many tools have been changed before; last: no tool is changed behind it
+    change: number of tool changes before; last: no tool change follows
     """
     places, frames = targets(plan, moves), f"{tool_of(plan)}\\WObj:={plan.problem.program.work_object};"
     sent, alone = _numbered(lines), plan.cell.second_arm is None
@@ -238,19 +238,20 @@ def _absolute(plan: Plan, speed: str) -> str:
     cell, start = plan.cell, plan.trajectory.q[:1]
     joints = joints_text(np.degrees(start[:, cell.own]))[0]
     external = external_text(_own_axes(plan, start[:, cell.besides]))[0]
-    # a work object that another task moves is for moves in step with it
+    # a work object that another task moves is only for synchronised moves
     frames = tool_of(plan) + ("" if cell.second_arm is not None else f"\\WObj:={plan.problem.program.work_object}")
     return f"        MoveAbsJ [[{joints}],[{external}]],{speed},fine,{frames};"
 
 
 def zones_of(plan: Plan, moves: Moves) -> list[str]:
-    """Zone of each move: the smallest that covers half of its line and of the next one, if a corner that is cut so far
-    keeps within its tolerance, and else the largest that does.
+    """Zone of each move: the smallest that covers half of its line and of the next one, if that cuts the corner within
+    its tolerance; otherwise the largest that does.
 
-    Zones that meet leave no trace of the corner in the speed, and a controller cuts those to half of a move that reach
-    beyond (measured on an IRB 6640: z1 among lines of 11 mm costs a third of the speed). Between a joint move and a line
-    at most z0: a joint move does not end in the direction of its chord, and a bead may begin or end there. None is
-    larger than the problem has it, and zon0_1 is the least, but where it is cut by more than the widest tolerance.
+    Zones that meet leave no trace of the corner in the speed, and a controller limits those that reach further to half
+    of a move (measured on an IRB 6640: z1 among lines of 11 mm costs a third of the speed). Between a joint move and a
+    line the zone is at most z0: a joint move does not end in the direction of its chord, and a bead may begin or end
+    there. No zone is larger than the problem allows. The smallest is zon0_1, or zon0_02 where that would exceed the
+    widest tolerance.
     """
     reach, bend = corners(moves.segments)
     half, bend = 0.5 * reach[1:], bend[1:]
@@ -265,14 +266,14 @@ def zones_of(plan: Plan, moves: Moves) -> list[str]:
     mixed = np.append(moves.linear[1:], moves.linear[-1]) != moves.linear
     usual = np.where(mixed, np.minimum(usual, names.index("z0")), usual)
     usual = np.minimum(usual, names.index(program.largest_zone))
-    cut = 0.5 * np.minimum(half, ZONES["zon0_1"]) * np.sin(0.5 * bend)  # by a parabola, as when it is read back
+    cut = 0.5 * np.minimum(half, ZONES["zon0_1"]) * np.sin(0.5 * bend)  # by a parabola, as in the read-back
     deep = (usual == least) & (cut > program.widening * tolerance)
     usual = np.where(deep, names.index("zon0_02"), usual)
     return ["fine" if fine else names[k] for fine, k in zip(moves.fine.tolist(), usual.tolist(), strict=True)]
 
 
 def _numbered(lines: Sequence[SocketLine]) -> dict[int, list[tuple[int, SocketLine]]]:
-    """Move → the lines that are sent behind it, with their numbers."""
+    """Move → the lines sent after it, with their numbers."""
     out: dict[int, list[tuple[int, SocketLine]]] = {}
     for n, line in enumerate(lines, 1):
         out.setdefault(line.move, []).append((n, line))
@@ -280,7 +281,7 @@ def _numbered(lines: Sequence[SocketLine]) -> dict[int, list[tuple[int, SocketLi
 
 
 def _resting(waits: Sequence[Wait], sent: Sequence[tuple[int, SocketLine]]) -> list[str]:
-    """Statements behind a move: what the robot stands still for, each with a comment that says why, and what is sent."""
+    """Statements after a move: waits, each with a comment that says why, and lines sent meanwhile."""
     steps: list[tuple[float, int, list[str]]] = []
     clock = 0.0
     for wait in waits:
@@ -289,7 +290,7 @@ def _resting(waits: Sequence[Wait], sent: Sequence[tuple[int, SocketLine]]) -> l
         steps.append((clock, -1, []))
     settle = f"        {SETTLE} {LATEST};"
     heats = False
-    over: float | None = None  # when the board has done what it acknowledges at its end
+    over: float | None = None  # when the board has finished the lines that it acknowledges when done
     for n, line in sent:
         before = [settle] if heats and not line.text.startswith(HEATS) else []
         heats = line.text.startswith(HEATS)
@@ -312,14 +313,14 @@ def _resting(waits: Sequence[Wait], sent: Sequence[tuple[int, SocketLine]]) -> l
 
 
 # ----------------------------------------------------------------------------------------------------
-# Notes in the header: what users should know before a program runs, each with its first place.
+# Notes in the header: what users should know before running a program, each with the first place it applies to.
 
 _MOVE = re.compile(r" {8}(?:MoveJ|MoveL|MoveC|TriggL|TriggC) ")
 
 
 @dataclass(frozen=True)
 class ProgramNote:
-    """What is to be known, the first move of the program that it is about, from 0, and the bead of that, or TRAVEL."""
+    """A note, the first move of the program that it applies to, from 0, and that move's bead, or TRAVEL."""
 
     words: str
     move: int
@@ -329,7 +330,7 @@ class ProgramNote:
 def all_notes(
     parts: Sequence[Plan], all_moves: Sequence[Moves], programs: Sequence[RobotProgram]
 ) -> tuple[ProgramNote, ...]:
-    """The notes on a program that was read back, one stretch after the other; moves count from its beginning."""
+    """Notes on a program that was read back, stretch by stretch; moves count from its beginning."""
     out, before = [], 0
     for plan, moves, program in zip(parts, all_moves, programs, strict=True):
         for note in notes_of(plan, moves, program):
@@ -340,12 +341,12 @@ def all_notes(
 
 
 def notes_of(plan: Plan, moves: Moves, program: RobotProgram) -> tuple[ProgramNote, ...]:
-    """All notes on what was read back of a stretch."""
+    """All notes on a stretch of a program that was read back."""
     return tuple(note for note in (*_fit(plan, moves), _sends(program), *_paces(plan, program)) if note is not None)
 
 
 def _fit(plan: Plan, moves: Moves) -> list[ProgramNote]:
-    """Moves on beads that take less than the least time, and those that leave the bead by more than usual for its sake."""
+    """Moves on beads that take less than the least time, and those that leave the bead more than usual to meet it."""
     spec, found = plan.problem.program, fit_of(plan, moves)
     notes = []
     least = f"{1e3 * spec.least_time:g} ms"
@@ -376,7 +377,7 @@ def _paces(plan: Plan, program: RobotProgram) -> list[ProgramNote]:
 
 
 def note_lines(notes: tuple[ProgramNote, ...], files: Mapping[str, str]) -> list[str]:
-    """Two comments for each note, to stand in the header of the first of the files, which have none so far."""
+    """Two comments for each note, for the header of the first of the files, in which they are not yet included."""
     main, places, wanted = next(iter(files)), {}, {note.move for note in notes}
     k = 0
     for name, text in files.items():
@@ -393,25 +394,25 @@ def note_lines(notes: tuple[ProgramNote, ...], files: Mapping[str, str]) -> list
 
 
 # ----------------------------------------------------------------------------------------------------
-# The program. Targets stand inline in the moves, in one procedure per bead, because that is what an IRC5 takes without trouble: every
-# line is one statement, so a load error names its line, the operator can put the pointer on any target, and look-ahead
-# runs through procedure calls without a stop. Arrays of targets would be one statement of thousands of lines each, which
-# the loader must hold at once, and a loop over them puts logic between fly-by points.
+# The program. Targets are inline in the moves, in one procedure per bead, because an IRC5 handles that without trouble:
+# every line is one statement, so a load error names its line, the operator can put the pointer on any target, and
+# look-ahead continues through procedure calls without a stop. Each array of targets would be a single statement of
+# thousands of lines, which the loader must hold at once, and a loop over it would put logic between fly-by points.
 
 
 def pgf(module: str) -> str:
-    """Program file that names a module; load this one on the controller."""
+    """Program file that names a module; this is the file to load on the controller."""
     return f'<?xml version="1.0" encoding="ISO-8859-1" ?>\n<Program>\n\t<Module>{module}.mod</Module>\n</Program>\n'
 
 
 def rapid(plan: Plan) -> str:
-    """Main module of a verified plan, as `rapid_files` has it."""
+    """Main module of a verified plan, as in `rapid_files`."""
     return rapid_files(plan)[f"{module_name(plan.name)}.mod"]
 
 
 @kept
 def rapid_moves(plan: Plan) -> Moves:
-    """The moves of a plan's program."""
+    """The moves of a plan's RAPID program."""
     t, style = plan.trajectory, plan.problem.program.style
     also, fed = event_samples(t) if style == "socket" else None, laid_filament(t) if style != "output" else None
     return plan_moves(plan, also, fed, arcs=True)
@@ -420,9 +421,9 @@ def rapid_moves(plan: Plan) -> Moves:
 def rapid_files(plan: Plan) -> dict[str, str]:
     """All files of the program of a verified plan, by name: ASCII, mm, degrees, targets in the part frame.
 
-    They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`; where
-    a second arm moves the part, its own modules and program file besides, see multimove.py.
-    Raises InputError where the problem asks for a flow, or a line, that RAPID has no form for.
+    They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`;
+    if a second arm moves the part, also its own modules and program file, see multimove.py.
+    Raises InputError if the problem requires a flow, or a line, that RAPID cannot express.
     """
     name, spec, parts = module_name(plan.name), plan.problem.program, plan.stretches
     all_moves = [rapid_moves(part) for part in parts]
@@ -477,14 +478,14 @@ def rapid_files(plan: Plan) -> dict[str, str]:
 
 
 def served(plan: Plan, lines: int) -> list[str]:
-    """The procedures that serve the socket of a program that sends so many lines."""
+    """The procedures that serve the socket of a program that sends `lines` lines."""
     socket, outputs = plan.problem.program.socket, extruders(plan).values()
     alone = plan.cell.second_arm is None
     return server(module_name(plan.name), lines, socket.address, socket.port, outputs, alone)
 
 
 def _sizes(plan: Plan, all_moves: Sequence[Moves]) -> list[str]:
-    """How many moves there are, beside the waypoints that they stand for."""
+    """A comment with the number of moves, and of the waypoints that they stand for."""
     waypoints = sum(len(bead.points) for bead in plan.beads)
     count, laid = (sum(len(each) + 1 for each in all_moves), sum(int(each.laid.sum()) for each in all_moves))
     return [comment(f"{count} moves, {laid} of them along beads, whose toolpath has {waypoints} waypoints")]

@@ -11,7 +11,7 @@ from planner.base.arrays import Array
 from planner.base.compiled import inner_njit, njit
 
 # ----------------------------------------------------------------------------------------------------
-# What kernels take together.
+# Bundles of arguments of the kernels.
 
 
 class LimitRows(NamedTuple):
@@ -19,7 +19,7 @@ class LimitRows(NamedTuple):
 
     point (m + 1, 2)              x at grid point i from c[i : i + 2]
     middle (m, 3)                 x in the middle of interval i from c[i : i + 3]
-    ends (2 m, 3)                 x at its two ends, 2 i and 2 i + 1, from the same
+    ends (2 m, 3)                 x at its two ends, rows 2 i and 2 i + 1, from the same coefficients
     acceleration (m + 1, nj, 2)   shares of the acceleration limit at points
     jerk (2 m, nj, 3)             shares of the jerk limit over sqrt(x) at ends
     ceiling (m + 1)               largest x at points
@@ -59,15 +59,15 @@ def _values_of(values: OfLimits, at: slice, ends: slice) -> OfLimits:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Least and mean of values around each place of a row of places: compiled.
+# Running minimum and mean of values at ordered places: compiled.
 
 
 @njit
 def least_nearby(values: Array, at: Array, reach: float) -> Array:
-    """Least of values (n) whose places `at` (n), which never fall, are within `reach` of each place's own."""
+    """Running minimum (n) of values (n) at places `at` (n), which never decrease, within `reach` of each place."""
     n = len(values)
     out = np.empty(n)
-    waiting = np.empty(n, dtype=np.int64)  # places that may be the least for some time yet, their values growing
+    waiting = np.empty(n, dtype=np.int64)  # candidates for later minima, with growing values
     first, last, ahead = 0, -1, 0
     for i in range(n):
         while ahead < n and at[ahead] <= at[i] + reach:
@@ -84,7 +84,7 @@ def least_nearby(values: Array, at: Array, reach: float) -> Array:
 
 @njit
 def mean_nearby(values: Array, at: Array, reach: float) -> Array:
-    """Means of values (n) whose places `at` (n), which never fall, are within `reach` of each place's own."""
+    """Running mean (n) of values (n) at places `at` (n), which never decrease, within `reach` of each place."""
     n = len(values)
     out = np.empty(n)
     low, high, total = 0, 0, 0.0
@@ -100,20 +100,20 @@ def mean_nearby(values: Array, at: Array, reach: float) -> Array:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Lengths of steps of the interior-point method that differ along a leg, slowly: compiled.
+# Step lengths of the interior-point method, which vary slowly along a leg: compiled.
 #
-# A step's length is bounded by the place where a limit would be overrun first. Only its neighbourhood has to step less:
-# what a length that varies adds to the limits' residuals is small where it varies over many intervals, and the next step
-# sees it.
+# A step's length is bounded by the place where a limit would be overrun first. Only the neighbourhood of that place
+# needs a shorter step: the residuals that a varying length adds are small if it varies over many intervals, and the
+# next step accounts for them.
 
-APART = 256  # intervals over which lengths change: thirty times what an arm takes to build up its acceleration
+APART = 256  # intervals over which step lengths change: thirty times what an arm takes to build up acceleration
 _TO_BOUNDARY = 0.99  # share of the way to the nearest limit that a step may go
 _POSITIVE = 0.9  # share of the way to rest that a step may go
 
 
 @inner_njit
 def even_out(lengths: Array, sums: Array, mins: Array) -> None:
-    """Lower lengths (m), in place, until they change slowly; sums (m + 1) and mins (m) are room."""
+    """Lower lengths (m), in place, until they change slowly; sums (m + 1) and mins (m) are work space."""
     m = len(lengths)
     blocks = (m + APART - 1) // APART
     for b in range(blocks):
@@ -129,7 +129,7 @@ def even_out(lengths: Array, sums: Array, mins: Array) -> None:
 
 @inner_njit
 def average(values: Array, half: int, sums: Array, out: Array) -> None:
-    """Fill out (m) with the means of values (m) over `half` neighbours to both sides; sums (m + 1) is room."""
+    """Fill out (m) with the means of values (m) over `half` neighbours on each side; sums (m + 1) is work space."""
     m = len(values)
     sums[0] = 0.0
     for i in range(m):
@@ -141,7 +141,7 @@ def average(values: Array, half: int, sums: Array, out: Array) -> None:
 
 @njit(inline="always")
 def _falls(mu: float, ds: float, slack: float, dual: float) -> tuple[float, float]:
-    """By which share of itself a slack falls in a full step that changes it by ds, and its dual."""
+    """Shares of themselves by which a slack, changed by ds, and its dual fall in a full step."""
     fall = -ds / slack
     return fall, 1.0 - fall - mu / (slack * dual)
 
@@ -158,8 +158,7 @@ def lengths_of(
     primal_lengths: Array,
     dual_lengths: Array,
 ) -> None:
-    """How far along the step c and the slacks (m), and how far the duals (m) may go by each interval; rooms become the
-    steps of the slacks."""
+    """Step lengths allowed by each interval, of c and slacks (m) and of duals (m); rooms become the slacks' steps."""
     point, middle, end, a, j, ceiling, _ = limits
     m, nj = len(middle), a.shape[1]
     positive = _TO_BOUNDARY / _POSITIVE
@@ -204,8 +203,10 @@ def lengths_of(
 
 @inner_njit
 def go(c: Array, step: Array, middle: Array, end: Array, lengths: Array) -> None:
-    """Go along the step of c, in place, as far as lengths (m) say; where x would not stay positive, they become the
-    least of them, as which it does."""
+    """Move c along its step, in place, by lengths (m).
+
+    If x would not stay positive, the least of the lengths is used throughout and replaces the others.
+    """
     m = len(lengths)
     for i in range(m + 2):
         c[i] += lengths[min(max(i - 1, 0), m - 1)] * step[i]
@@ -223,9 +224,9 @@ def go(c: Array, step: Array, middle: Array, end: Array, lengths: Array) -> None
 def move(
     primal: Array, dual: Array, mu: Array, steps: Array, slacks: Array, duals: Array, places: int, gaps: Array
 ) -> None:  # fmt: skip
-    """Go these lengths along the steps of slacks and duals, in place; adds their products to gaps (m).
+    """Move slacks and duals along their steps by these lengths, in place; add their products to gaps (m).
 
-    `places`: of the limits, each with as many of them: points, or twice as many ends as there are intervals.
+    places: at how many places the limits act, equally many at each: points, or two ends per interval.
     """
     m = len(primal)
     each, ends = len(slacks) // places, 2 if places == 2 * m else 1
@@ -240,7 +241,7 @@ def move(
 
 
 # ----------------------------------------------------------------------------------------------------
-# Blocks of intervals that are settled or not, and where the limits of places stand among all: compiled.
+# Settled and unsettled blocks of intervals, and where a place's limits are in the flat arrays of all limits: compiled.
 
 
 @inner_njit
@@ -262,7 +263,7 @@ def runs_of(unsettled: NDArray[np.bool_], m: int) -> list[tuple[int, int]]:
 def limits_of(
     at: slice, ends: slice, m: int, nj: int
 ) -> tuple[tuple[slice, int], tuple[slice, int], tuple[slice, int]]:
-    """Where the limits of some points and ends stand among all, and of how many places: x, acceleration, jerk."""
+    """Slices of the flat arrays for the limits of some points and ends, and how many places: x, acceleration, jerk."""
     first, last = m + 1, (m + 1) * (1 + 2 * nj)
     points = at.stop - at.start
     return (
@@ -274,14 +275,14 @@ def limits_of(
 
 @inner_njit
 def split(flat: Array, m: int, nj: int) -> OfLimits:
-    """One value for each side of each limit, all in a row (count), seen as those of x, acceleration and jerk."""
+    """Views of a flat array (count), one value for each side of each limit: those of x, acceleration and jerk."""
     first, last = m + 1, (m + 1) * (1 + 2 * nj)
     return OfLimits(flat[:first], flat[first:last].reshape((m + 1, nj, 2)), flat[last:].reshape((2 * m, nj, 2)))
 
 
 @inner_njit
 def overrun(room: Array, slack: Array) -> float:
-    """Largest share of a limit by which there is less room than slack."""
+    """Largest amount, as a share of a limit, by which the room falls short of the slack."""
     worst = -np.inf
     for i in range(len(room)):
         worst = max(worst, slack[i] - room[i])
@@ -298,43 +299,43 @@ def overrun(room: Array, slack: Array) -> float:
 #     |q' x''/2 + 3/2 q'' x' + q''' x|  <= j_max / sqrt(x)  at both ends of every interval
 #     x                                 <= ceiling          at grid points
 #
-# The time, the sum of h / sqrt(x), is convex. So is 1/sqrt(x), which makes the jerk limit the only part that is not:
-# there a linear function is bounded by a convex one, and in every step the tangent of that one, which lies below it,
-# takes its place. A step within the tangents is within the limits; the curvature that is left out is that of the
-# limits alone, and the systems of equations, banded with half-bandwidth 2, stay positive definite.
+# The time, the sum of h / sqrt(x), is convex. So is 1/sqrt(x), which makes the jerk limits the only non-convex part:
+# they bound a linear function by a convex one. In every step the convex function is replaced by its tangent, which lies
+# below it, so a step within the tangents is within the limits. Only the curvature of the limits is neglected, and the
+# linear systems, banded with half-bandwidth 2, stay positive definite.
 #
-# Places that are far apart do not touch each other: each has a length of step and a gap of its own (`lengths_of`,
-# `even_out`), so that one hard place does not hold up all others. Those that are settled are left alone while others go on.
+# Places that are far apart do not affect each other: each has its own step length and gap (`lengths_of`, `even_out`),
+# so that one hard place does not hold up all others. Settled places are left alone while the others continue.
 #
 # Debrouwere et al., "Time-optimal path following for robots with convex-concave constraints using sequential convex
-# programming", IEEE T-RO 2013, solve the same program by a general solver, one convex program after the other.
+# programming", IEEE T-RO 2013, solve the same program with a general solver, as a sequence of convex programs.
 
-OVERRUN = 1e-3  # of a limit: the most by which a solution may miss it; who asks for one keeps more in reserve
-_STEPS = 80  # most of the method's steps: 20 to 40 are usual
-_LEAST_SLACK = 1e-1  # of a limit, at the start, where the start does not keep it: less, and steps stay short
-_FIRST_GAP = 1.0  # of the time: the duality gap to begin with; with less, and with more, steps are short at first
-_FASTEST_FALL = 0.1  # of the gap in one step
-# A block of intervals whose steps are not shortened, whose gap is at its least and which keeps its limits is settled.
-_FULL = 0.99  # of a step
-_AT_REST = 1.5  # times the least gap
-_KEPT = 0.1  # of the overrun that a solution may have
-_LEAST_GAP = 0.05  # of what the accuracy leaves to a limit: where less is left there is nothing to gain
+OVERRUN = 1e-3  # share of a limit: greatest overrun of a solution; callers keep a larger reserve
+_STEPS = 80  # at most: 20 to 40 are usual
+_LEAST_SLACK = 1e-1  # share of a limit: least initial slack, even where the start overruns it; less keeps steps short
+_FIRST_GAP = 1.0  # share of the time: initial duality gap; with less or more, the first steps are short
+_FASTEST_FALL = 0.1  # least share of itself to which the gap may fall in one step
+# A block of intervals is settled once its steps are not shortened, its gap is at its least, and it keeps its limits.
+_FULL = 0.99  # of a full step: longer ones count as not shortened
+_AT_REST = 1.5  # × the least gap
+_KEPT = 0.1  # × OVERRUN: limits of a settled block are overrun by less
+_LEAST_GAP = 0.05  # × each limit's share of the gap that the accuracy allows: a smaller gap gains nothing
 
 
 @njit
 def fastest(
     limits: LimitRows, start: Array, level: tuple[bool, bool], accuracy: float, wanted: NDArray[np.bool_]
 ) -> tuple[Array, bool]:
-    """Coefficients c (m + 2) of the fastest profile, and whether it was found to the accuracy asked for.
+    """Coefficients c (m + 2) of the fastest profile, and whether it was found to the required accuracy.
 
-    start (m + 2): positive, need not hold the limits; level: x is constant in front of, and behind the grid; accuracy:
-    share of the time by which it may be missed; wanted (blocks of APART intervals): where start is not to be kept as it
-    is.
+    start (m + 2): positive, need not keep the limits; level: whether x is constant before and after the grid; accuracy:
+    share of the time by which the optimum may be missed; wanted (blocks of APART intervals): those to optimise, all
+    others keep their start values.
     """
     middle, end, h = limits.middle, limits.ends, limits.h
     m, nj = len(h), limits.acceleration.shape[1]
     c = start.copy()
-    # all limits in a row: those of x, of acceleration, and of jerk, of which the latter two are seen as boxes too
+    # all limits in flat arrays, those of x, acceleration and jerk in order, with views (`OfLimits`) of each kind
     jerks = (m + 1) * (2 * nj + 1)
     count = jerks + 4 * m * nj
     room, slack, price = np.empty(count), np.empty(count), np.empty(count)
@@ -343,12 +344,12 @@ def fastest(
     time = _time(c, middle, h)
     mu = np.full(m, _FIRST_GAP * time / count)
     for i in range(count):
-        slack[i] = max(room[i], _LEAST_SLACK)  # the room there is, where there is some
+        slack[i] = max(room[i], _LEAST_SLACK)  # the room there is, if any
         price[i] = mu[0] / slack[i]
     step, band = np.empty(m + 2), np.empty((m + 2, 3))
     primal, dual, gaps, sums, mins = np.empty(m), np.empty(m), np.zeros(m), np.empty(m + 1), np.empty(m)
     unsettled = wanted.copy()
-    over = np.where(wanted, np.inf, -np.inf)  # largest overrun of each block, if it is known
+    over = np.where(wanted, np.inf, -np.inf)  # largest overrun of each block, inf while unknown
     for _ in range(_STEPS):
         runs = runs_of(unsettled, m)
         primal[:] = dual[:] = 1.0
@@ -371,7 +372,7 @@ def fastest(
         even_out(dual, sums, mins)
         for lo, hi in runs:
             go(c[lo : hi + 2], step[lo : hi + 2], middle[lo:hi], end[2 * lo : 2 * hi], primal[lo:hi])
-            for b in range(lo, hi, APART):  # block by block, so that all that is done to one stays near the processor
+            for b in range(lo, hi, APART):  # block by block, so that each block's data stays in the cache
                 e = min(b + APART, hi)
                 at, on = slice(b, e + 1 if e == hi else e), slice(b, e)
                 ends, all_c = slice(2 * b, 2 * e), slice(b, e + 2)
@@ -381,7 +382,7 @@ def fastest(
                 _rooms(c[all_c], _rows_of(limits, at, on, ends), _values_of(rooms, at, ends))
         gap, time = gaps.sum(), _time(c, middle, h)
         least_mu = _LEAST_GAP * accuracy * time / count
-        all_full = True  # shortened steps leave some of the conditions on the duals: then the gap says too little
+        all_full = True  # after shortened steps the duals miss some conditions, and the gap says too little
         for b in range(len(unsettled)):
             if not unsettled[b]:
                 continue
@@ -397,7 +398,7 @@ def fastest(
             all_full = all_full and full
         if all_full and gap < accuracy * time and over.max() < OVERRUN:
             return c, True
-        average(gaps, np.int64(APART), sums, mu)  # not a literal: another type
+        average(gaps, np.int64(APART), sums, mu)  # not a literal, whose type differs
         for i in range(m):
             least = min(primal[i], dual[i])
             fall = max(_FASTEST_FALL, (1.0 - least) ** 2) if least > 0.1 else 1.0
@@ -407,7 +408,7 @@ def fastest(
 
 @inner_njit
 def _time(c: Array, middle: Array, h: Array) -> float:
-    """The time that all intervals take."""
+    """Total time of all intervals."""
     time = 0.0
     for i in range(len(h)):
         time += h[i] / np.sqrt(middle[i, 0] * c[i] + middle[i, 1] * c[i + 1] + middle[i, 2] * c[i + 2])
@@ -416,7 +417,7 @@ def _time(c: Array, middle: Array, h: Array) -> float:
 
 @inner_njit
 def _rooms(c: Array, limits: LimitRows, rooms: OfLimits) -> None:
-    """Room below every limit, on either side, into `rooms`."""
+    """Fill `rooms` with the room left to every limit, on both sides."""
     point, middle, end, a, j, ceiling, _ = limits
     m, nj = len(middle), a.shape[1]
     for i in range(m):
@@ -434,7 +435,7 @@ def _rooms(c: Array, limits: LimitRows, rooms: OfLimits) -> None:
 
 @njit(inline="always")
 def _weights(mu: float, room: float, slack: float, dual: float) -> tuple[float, float]:
-    """What a limit adds to the matrix, per square of its gradient, and to the right-hand side, per gradient."""
+    """A limit's contribution to the matrix, per square of its gradient, and to the right-hand side, per gradient."""
     inverse = 1.0 / slack
     w = dual * inverse
     return w, mu * inverse - w * (room - slack)
@@ -451,7 +452,7 @@ def _assemble(
     rhs: Array,
     band: Array,
 ) -> None:
-    """Newton's equations for c, slacks and duals eliminated: right-hand side, and matrix as `_solve` takes it.
+    """Newton's equations for c, with slacks and duals eliminated: right-hand side, and matrix as `_solve` takes it.
 
     The two sides of a jerk limit have gradients t g - d and t g + d, with g that of x, t the tangent of 1 / sqrt(x) and
     d the row: their squares are summed over the joints in these terms.
@@ -534,7 +535,7 @@ def _assemble(
 
 @inner_njit
 def _keep_level(level: tuple[bool, bool], rhs: Array, band: Array) -> None:
-    """Make the outermost two coefficients one variable, where x has to leave the grid with slope 0."""
+    """Make the outermost two coefficients one variable at ends where x must leave the grid with slope 0."""
     m = len(rhs) - 2
     if level[0]:
         rhs[1] += rhs[0]
@@ -550,8 +551,7 @@ def _keep_level(level: tuple[bool, bool], rhs: Array, band: Array) -> None:
 
 @inner_njit
 def _hold(ends: tuple[bool, bool], rhs: Array, band: Array) -> None:
-    """Leave the outermost two coefficients where they are, at the ends where the grid goes on: settled intervals see
-    them too."""
+    """Fix the outermost two coefficients at ends where the grid continues: settled intervals depend on them too."""
     m = len(rhs) - 2
     if ends[0]:
         band[2, 1] = band[2, 2] = band[3, 2] = 0.0
@@ -564,7 +564,7 @@ def _hold(ends: tuple[bool, bool], rhs: Array, band: Array) -> None:
 
 @inner_njit
 def _solve(band: Array, rhs: Array) -> bool:
-    """Solve in place by Cholesky's method; False if the matrix is not positive definite.
+    """Solve in place by Cholesky factorisation; False if the matrix is not positive definite.
 
     band (n, 3): the diagonal, and the entries one and two to the left of it.
     """

@@ -18,22 +18,22 @@ from planner.cell.cell import Limits
 from planner.motion.timing.kernels import APART, LimitRows, fastest, least_nearby, mean_nearby
 
 # ----------------------------------------------------------------------------------------------------
-# PiecewiseCurve: a spline as polynomials between its knots, so that all its derivatives cost little at many places: compiled.
+# PiecewiseCurve: a spline as polynomials between its knots, cheap to differentiate at many places: compiled.
 
 
 @dataclass(frozen=True)
 class PiecewiseCurve(ReadOnlyArrays):
     """Values of k columns over a parameter from the first of its breaks to the last.
 
-    breaks (n + 1), growing; coefficients (n, degree + 1, k) of the powers of what the parameter has grown by since the
-    piece began, the highest first
+    breaks (n + 1), increasing; coefficients (n, degree + 1, k) of the powers of the parameter since the piece began,
+    the highest first
     """
 
     breaks: Array
     coefficients: Array
 
     def __call__(self, u: Array) -> Array:
-        """Values (m, k) at places u (m); outside the breaks those of the nearest piece, continued."""
+        """Values (m, k) at places u (m); outside the breaks the nearest piece is extrapolated."""
         return derivatives_at(self.breaks, self.coefficients, u, 0)[0]
 
     def derivatives(self, u: Array, orders: int) -> Array:
@@ -46,7 +46,7 @@ class PiecewiseCurve(ReadOnlyArrays):
 
 
 def curve_of(spline: BSpline) -> PiecewiseCurve:
-    """The same as a spline of columns, between the ends of its knots."""
+    """Convert a spline of several columns, between its end knots."""
     t, k = spline.t, spline.k
     spans = k + np.flatnonzero(np.diff(t[k : len(t) - k]) > 0.0)
     coefficients = _polynomials(np.asarray(t), np.ascontiguousarray(spline.c), k, spans)
@@ -57,7 +57,7 @@ def curve_of(spline: BSpline) -> PiecewiseCurve:
 def _polynomials(t: Array, c: Array, degree: int, spans: NDArray[np.int64]) -> Array:
     """Coefficients (n, degree + 1, k) as in `PiecewiseCurve` between knots t[i] and t[i + 1], i of spans (n).
 
-    The control values c (m, k) that are felt there are differenced once for each derivative, and each of these splines
+    The control values c (m, k) that act there are differenced once for each derivative, and each resulting spline is
     evaluated at t[i] by de Boor's algorithm.
     """
     columns = c.shape[1]
@@ -68,9 +68,9 @@ def _polynomials(t: Array, c: Array, degree: int, spans: NDArray[np.int64]) -> A
         for j in range(degree + 1):
             for column in range(columns):
                 felt[j, column] = c[i - degree + j, column]
-        scale = 1.0  # of the derivative: one over the factorial of its order
+        scale = 1.0  # of each derivative: one over the factorial of its order
         for order in range(degree + 1):
-            left = degree - order  # degree of the derivative, of which felt[order :] are control values
+            left = degree - order  # degree of the derivative, whose control values are felt[order :]
             if order > 0:
                 scale /= order
                 for j in range(degree, order - 1, -1):
@@ -94,9 +94,9 @@ def _polynomials(t: Array, c: Array, degree: int, spans: NDArray[np.int64]) -> A
 
 @njit
 def derivatives_at(breaks: Array, coefficients: Array, u: Array, orders: int) -> Array:
-    """Values and derivatives (1 + orders, m, k) at places u (m), of a curve as `PiecewiseCurve` has it; orders: at most 3.
+    """Values and derivatives (1 + orders, m, k) of a `PiecewiseCurve` at places u (m); orders: at most 3.
 
-    Places in order are found from each other.
+    The search for a place's piece starts from that of the place before: ordered places are found quickly.
     """
     n, powers, k = coefficients.shape
     out = np.zeros((1 + orders, len(u), k))
@@ -107,7 +107,7 @@ def derivatives_at(breaks: Array, coefficients: Array, u: Array, orders: int) ->
         while i > 0 and u[at] < breaks[i]:
             i -= 1
         since = u[at] - breaks[i]
-        for power in range(powers):  # Horner's scheme, of the derivatives too
+        for power in range(powers):  # Horner's scheme, for the derivatives too
             for order in range(min(orders, power), 0, -1):
                 for column in range(k):
                     out[order, at, column] = out[order, at, column] * since + order * out[order - 1, at, column]
@@ -117,22 +117,22 @@ def derivatives_at(breaks: Array, coefficients: Array, u: Array, orders: int) ->
 
 
 # ----------------------------------------------------------------------------------------------------
-# Leg: a piece of a joint path in a parameter in which it can start and end at rest.
+# Leg: a piece of a joint path, over a parameter that lets it start and end at rest.
 #
 # A profile x(u) of squared rates cannot leave rest with bounded jerk and a bounded second derivative: there x grows
 # with u^(4/3). So near an end at rest the path parameter u follows a nominal motion u(sigma) that begins with the cube
 # of sigma, as motion of constant jerk does. Profiles over sigma are then regular, and positive, everywhere.
 
-_LEAST_NOMINAL = 0.2  # of the nominal motion's full rate: below it counts as nearly at rest
-_MEAN = 0.6  # mean speed of a nominal ramp over its last
+_LEAST_NOMINAL = 0.2  # share of the nominal motion's full rate: below, it counts as nearly at rest
+_MEAN = 0.6  # mean rate of a nominal ramp, as a share of its full rate
 
 
 @dataclass(frozen=True)
 class Leg:
     """The path from u = first to u = last, over sigma from 0 to `end`.
 
-    path: joints and arc length over u [s at the commanded speed]; ramps: the parts of u in which the nominal motion
-    gathers speed at the start and loses it at the end, 0 at an end that is passed in motion
+    path: joints and arc length over u [s at the commanded speed]; ramps: the parts of u over which the nominal motion
+    accelerates at the start and decelerates at the end, 0 at an end that is passed in motion
     """
 
     path: PiecewiseCurve
@@ -148,19 +148,19 @@ class Leg:
 
     @property
     def lasts(self) -> tuple[float, float]:
-        """How much of sigma the two ramps take."""
+        """Lengths of the two ramps in sigma."""
         return self.ramps[0] / _MEAN, self.ramps[1] / _MEAN
 
     @property
     def spacing(self) -> float:
-        """Of the path's knots, of which there is at least one interval."""
+        """Mean spacing of the path's breaks."""
         breaks = self.path.breaks
         return float((breaks[-1] - breaks[0]) / (len(breaks) - 1))
 
     def along(self, sigma: Array) -> Array:
-        """Rate of arc length by sigma (k), where the nominal motion is nearly at rest as if it were not [m].
+        """Rate of arc length by sigma (k) [m], with the nominal motion's rate kept from vanishing near rest.
 
-        So a commanded speed bounds profiles there too, which the vanishing rate itself would leave free.
+        So the commanded speed bounds profiles there too, where the true, vanishing rate would leave them free.
         """
         u, u1, _, _ = self._nominal(sigma)
         return np.asarray(self.path.derivatives(u, 1)[0, :, -1] * np.maximum(u1, _LEAST_NOMINAL))
@@ -185,7 +185,7 @@ class Leg:
 def _nominal(
     sigma: Array, length: float, first: float, last: float, ramps: tuple[float, float], lasts: tuple[float, float]
 ) -> Array:
-    """u(sigma) and its first three derivatives (4, k), between ramps whose speed's slope and bend vanish at their ends."""
+    """u(sigma) and its first three derivatives (4, k), with ramps whose rate joins full rate with slope and bend 0."""
     out = np.empty((4, len(sigma)))
     for i in range(len(sigma)):
         u, u1, u2, u3 = first + ramps[0] + sigma[i] - lasts[0], 1.0, 0.0, 0.0
@@ -205,7 +205,7 @@ def _nominal(
 
 @njit
 def _chain(rates: Array, u1: Array, u2: Array, u3: Array) -> None:
-    """Derivatives by u (orders, k, columns) become those by sigma, in place, with those of u by sigma (k)."""
+    """Convert derivatives by u (orders, k, columns) to those by sigma, in place, given those of u by sigma (k)."""
     orders, k, columns = rates.shape
     for i in range(k):
         for column in range(columns):
@@ -224,35 +224,35 @@ def _chain(rates: Array, u1: Array, u2: Array, u3: Array) -> None:
 
 Allowed = Callable[[Array], tuple[Array, Array]]
 
-_GRID = 0.125  # of the time in which joints build up their acceleration: the time between grid points, about
-_GRID_BETWEEN = (2.5e-3, 5e-3)  # s, the same at least and at most: slow joints follow quick bends too
-LEAST_RATE = 1e-12  # squared: keeps what rounding leaves of rest above 0
-_DIP = 20e-3  # s: the width over which a slow place slows its neighbourhood, where the method starts
-_START = 0.9  # of what limits allow at constant rates: where the method starts
-_SLOWEST = 1e-3  # of the commanded rate: the grid is not made finer for slower places
-_FASTEST = 1e4  # times the nominal motion: where samples coincide there is no other bound
-_LEAD = 0.08  # share of a ramp from rest that is begun with a constant rate, where limits bind only together
-_LEAD_LOOKS = 65  # places of a lead at which limits are looked at
-_COARSE = 20e-3  # s between grid points where nothing but the commanded speed limits the speed, for _FAR around:
-_FAR = 80e-3  # s: more than an arm takes to gather speed
-_EASY = 4.0  # times the commanded speed's squared rate that the joints allow there
-_QUIET = 0.3  # s of that around a place at which a grid may be cut in two, where the ceiling is _STEADY besides:
-_STEADY = 1e-2  # share by which it may vary from one point to the next
-_WORTH_A_CUT = 2048  # intervals
-_BELOW = 1e-3  # share of the ceiling that a cut keeps below it: what cannot move needs room
+_GRID = 0.125  # × the time in which joints build up their acceleration: approximate time between grid points
+_GRID_BETWEEN = (2.5e-3, 5e-3)  # s, bounds of that time: slow joints follow quick bends too
+LEAST_RATE = 1e-12  # least squared rate: keeps rest above 0 in spite of rounding
+_DIP = 20e-3  # s: width over which a slow place slows its neighbourhood in the starting profile
+_START = 0.9  # share of what limits allow at constant rates that the starting profile takes
+_SLOWEST = 1e-3  # share of the commanded rate: the grid is not refined for slower places
+_FASTEST = 1e4  # × the nominal motion: the only bound where samples coincide
+_LEAD = 0.08  # share of a ramp from rest that begins with a constant rate, where limits bind only together
+_LEAD_LOOKS = 65  # places of a lead at which limits are checked
+_COARSE = 20e-3  # s between grid points where only the commanded speed limits the speed, for _FAR around:
+_FAR = 80e-3  # s: longer than an arm takes to gather speed
+_EASY = 4.0  # × the commanded speed's squared rate: the joints must allow more than this there
+_QUIET = 0.3  # s around a place for which that must hold if the grid is to be cut there, the ceiling being _STEADY too:
+_STEADY = 1e-2  # greatest relative change from one point to the next
+_WORTH_A_CUT = 2048  # intervals: smaller grids are not cut
+_BELOW = 1e-3  # share of the ceiling by which a cut stays below it: fixed coefficients need room
 _LEAST_INTERVALS = 60
-_LOOKS_A_SAMPLE = 3  # of the path, at which the grid's fineness is chosen
-_BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are looked at again
+_LOOKS_A_SAMPLE = 3  # places per sample of the path at which the grid's fineness is chosen
+_BETWEEN = (0.25, 0.5, 0.75)  # fractions of intervals at which limits are checked again
 
 
 @dataclass(frozen=True)
 class LegLimits:
-    """The limits of a leg, on a grid of m intervals, and where they are looked at again; those of `LimitRows` as there.
+    """The limits of a leg on a grid of m intervals, and places for checking them again; fields of `LimitRows` as there.
 
-    left, right (m): what the first and last of three coefficients give of x at an interval's own ends; looks: fractions
-    of intervals with the path's rates (3, m, nj + 1) there, where limits are looked at again; v (nj + 1), a, j (nj): the
-    limits; cut: where a block of intervals begins at which the commanded speed is held, and so long around it that what
-    is before does not feel what is behind, or 0; start is nearly at that speed there
+    left, right (m): weight of the first of three coefficients in x at an interval's start, and of the last at its end;
+    looks: fractions of intervals, and the path's rates (3, m, nj + 1) there, for checking limits again; v (nj + 1), a,
+    j (nj): the limits; cut: start of a block of intervals where the commanded speed is held for so long around that the
+    two sides do not affect each other, or 0; start is nearly at that speed there
     """
 
     sigma: Array
@@ -275,14 +275,14 @@ class LegLimits:
 
     @property
     def rows(self) -> LimitRows:
-        """What `fastest` keeps."""
+        """The limits as `fastest` takes them."""
         return LimitRows(self.point, self.middle, self.ends, self.acceleration, self.jerk, self.ceiling, self.h)
 
 
 def leg_limits(leg: Leg, v: Array, a: Array, j: Array, known: tuple[Array, Array] | None = None) -> LegLimits:
     """The program of a leg under limits of velocity (nj + 1), the last of arc length, acceleration and jerk (nj).
 
-    known: places and the squared rates that a solution on another grid has there, so that this one fits it better.
+    known: places, and the squared rates of a solution on another grid there, to which this grid is fitted.
     """
     leads = (_LEAD * leg.lasts[0], _LEAD * leg.lasts[1])
     level = (leads[0] > 0.0, leads[1] > 0.0)
@@ -296,7 +296,7 @@ def leg_limits(leg: Leg, v: Array, a: Array, j: Array, known: tuple[Array, Array
     slope = 2.0 / (around[:-1] + around[1:])
     points = leg.rates(sigma, 3)
     ceiling = np.minimum(*_ceilings(leg, v, sigma, points[0]))
-    for end, lead in enumerate(leads):  # rows of the grid do not see the leads: there x is that of the grid's end
+    for end, lead in enumerate(leads):  # the grid's rows do not cover the leads, where x is that of the grid's end
         if lead > 0.0:
             within = np.linspace(0.0, lead, _LEAD_LOOKS)
             at = sigma[0] - within if end == 0 else sigma[-1] + within
@@ -344,7 +344,7 @@ def leg_limits(leg: Leg, v: Array, a: Array, j: Array, known: tuple[Array, Array
 
 
 def _allowed(leg: Leg, v: Array, a: Array, j: Array, sigma: Array) -> tuple[Array, Array]:
-    """Largest constant x (k) that the joints' limits allow at sigma (k), and the one that the commanded speed allows."""
+    """Largest constant x (k) that the joints' limits allow at sigma (k), and that the commanded speed allows."""
     first, second, third = leg.rates(sigma, 3)
     with np.errstate(divide="ignore", over="ignore"):
         x = np.minimum(_ceilings(leg, v, sigma, first)[0], (a / np.abs(second[:, :-1])).min(axis=1))
@@ -353,7 +353,7 @@ def _allowed(leg: Leg, v: Array, a: Array, j: Array, sigma: Array) -> tuple[Arra
 
 
 def _ceilings(leg: Leg, v: Array, sigma: Array, first: Array) -> tuple[Array, Array]:
-    """Largest x (k) by the joints' and by the commanded speed at sigma (k); first (k, nj + 1) are rates of order 1."""
+    """Largest x (k) that joint speeds, and the commanded speed, allow at sigma (k); first (k, nj + 1): first rates."""
     with np.errstate(divide="ignore", over="ignore"):
         joints = (v[:-1] / np.abs(first[:, :-1])).min(axis=1)
         along = v[-1] / np.abs(leg.along(sigma))
@@ -363,16 +363,16 @@ def _ceilings(leg: Leg, v: Array, sigma: Array, first: Array) -> tuple[Array, Ar
 def _grid(
     leg: Leg, leads: tuple[float, float], allowed: Allowed, apart: float, known: tuple[Array, Array] | None
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Grid points (m + 1) between the leads, about `apart` [s], a guess of x there, and which are far from all dips.
+    """Grid points (m + 1) between the leads, some `apart` [s] apart, a guess of x, and which are far from dips.
 
-    As fine as is asked for in the time that the path will take, and as the path's own samples: where these draw
-    together, it is not finer than they are.
+    As fine as required in the time that the path will take, and as the path's own samples: where these draw together,
+    it is not finer than they are.
     """
     a, b = leads[0], leg.end - leads[1]
     step = min(max(apart, leg.spacing / _LOOKS_A_SAMPLE), leg.spacing)
     even = np.linspace(a, b, max(int(np.ceil((b - a) / step)), _LEAST_INTERVALS) + 1)
     joints, commanded = allowed(even)
-    # the time at the commanded speed, in which what is near is near, however close the samples are
+    # time at the commanded speed: a measure of nearness that does not depend on how close the samples are
     time = _cumulated(1.0 / np.sqrt(commanded), even)
     guess = np.minimum(joints, commanded) if known is None else np.interp(even, *known)
     envelope = _smoothed(guess, time, 0.5 * _DIP)
@@ -387,7 +387,7 @@ def _grid(
 
 
 def _cut(ceiling: Array, quiet: NDArray[np.bool_]) -> int:
-    """Where a grid may be cut in two, as near to its middle as can be; 0 if nowhere, or if it is not worth it."""
+    """Where a grid may be cut in two, as near to its middle as possible; 0 if nowhere, or if it is not worth it."""
     m = len(quiet) - 1
     at = np.arange(APART, m - APART, APART)
     if m < _WORTH_A_CUT:
@@ -398,7 +398,7 @@ def _cut(ceiling: Array, quiet: NDArray[np.bool_]) -> int:
 
 
 def _smoothed(values: Array, time: Array, reach: float) -> Array:
-    """Values (k) that change slowly over times (k), and are as small as the least nearby."""
+    """Values (k) smoothed over times (k), after taking the least of those nearby."""
     least = least_nearby(values, time, reach)
     return np.maximum(mean_nearby(least, time, reach), least.min())
 
@@ -410,14 +410,14 @@ def _cumulated(density: Array, even: Array) -> Array:
 
 
 def _calm(leg: Leg, even: Array, time: Array, joints: Array, commanded: Array) -> NDArray[np.bool_]:
-    """Places (k) of an even grid far around which the commanded speed alone sets the speed."""
+    """Places (k) of an even grid where, for _FAR around, the commanded speed alone limits the speed."""
     start, end = leg.lasts
     inside = (even > start + _FAR) & (even < leg.end - end - _FAR)
     return np.asarray((least_nearby(joints / commanded, time, _FAR) > _EASY) & inside)
 
 
 def _start(envelope: Array, ceiling: Array, level: tuple[bool, bool]) -> Array:
-    """Coefficients (m + 2) to begin with: most of the guess."""
+    """Starting coefficients (m + 2): most of the guess."""
     c = np.concatenate([envelope[:1], np.minimum(envelope[1:], envelope[:-1]), envelope[-1:]])
     c[:2], c[-2:] = np.minimum(c[:2], ceiling[0]), np.minimum(c[-2:], ceiling[-1])
     if level[0]:
@@ -428,7 +428,7 @@ def _start(envelope: Array, ceiling: Array, level: tuple[bool, bool]) -> Array:
 
 
 def _basis(left: Array, right: Array, h: Array, f: float) -> tuple[Array, Array, Array]:
-    """What c[i : i + 3] give of x, x' and x'' at the fraction f of each interval, (m, 3) each."""
+    """Weights of c[i : i + 3] in x, x' and x'' at the fraction f of each interval, (m, 3) each."""
     ends = (
         (left * (1.0 - f) ** 2, right * f**2, 1.0),
         (-2.0 * left * (1.0 - f) / h, 2.0 * right * f / h, 0.0),
@@ -452,7 +452,7 @@ def _jerk_rows(basis: tuple[Array, Array, Array], rates: Array, limit: Array) ->
 
 
 def _in_turn(a: Array, b: Array) -> Array:
-    """Rows of a and b (m, ...) by turns, (2 m, ...)."""
+    """Rows of a and b (m, ...) interleaved, (2 m, ...)."""
     return np.ascontiguousarray(np.stack([a, b], axis=1).reshape(2 * len(a), *a.shape[1:]))
 
 
@@ -468,8 +468,10 @@ def overruns(program: LegLimits, c: Array) -> tuple[Array, Array, Array]:
 def _raise_worst(
     f: float, rates: Array, c: Array, h: Array, left: Array, right: Array, v: Array, a: Array, j: Array, worst: Array
 ) -> None:
-    """Raise worst (3, m) to the shares of the limits at the fraction f of each interval, where rates (3, m, nj + 1)
-    are those of the path."""
+    """Raise worst (3, m) to the shares of the limits reached at the fraction f of each interval.
+
+    rates (3, m, nj + 1): those of the path there
+    """
     joints = len(a)
     for i in range(len(h)):
         before, after = left[i] * (c[i] - c[i + 1]), right[i] * (c[i + 2] - c[i + 1])
@@ -489,17 +491,18 @@ def _raise_worst(
 
 
 # ----------------------------------------------------------------------------------------------------
-# Profile: how fast a leg of a path is followed, the fastest that speed, acceleration and jerk limits allow.
+# Profile: how fast a leg of a path is followed, at best as fast as speed, acceleration and jerk limits allow.
 
 HEADROOM = 0.99  # share of the joint limits that is used: the rest covers the path between grid points
 ACCURACY = 1e-4  # share of the time by which the optimum may be missed
 _NEWTON_STEPS = 8
 _ON_TIME = 1e-13  # s: a thousandth of what the third difference of samples would show
-_LONGEST = 30e-3  # s that an interval of the grid may take
+_LONGEST = 30e-3  # s: greatest duration of a grid interval
 _ROUNDS = 10  # of tightening limits where the path between grid points overruns them
-_TIGHTENED = 2  # rounds after which the speed is lowered there, too: peaks between points may not feel limits at these
-_BESIDE = 4  # points to either side at which it is lowered as well: an even speed adds no jerk of its own
-# Of limits less their headroom, between grid points, of squared speed, acceleration and jerk: no need to tighten them.
+_TIGHTENED = 2  # rounds after which the speed is lowered there, too: limits at points may not reach peaks between them
+_BESIDE = 4  # points on either side at which it is lowered as well: an even speed adds no jerk of its own
+# Limits are tightened only if squared speed, acceleration or jerk exceed these shares of them, less headroom, between
+# grid points.
 _ENOUGH = (1.003, 1.005, 1.005)
 
 _NODES, _WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendre.leggauss(6))
@@ -507,7 +510,7 @@ _NODES, _WEIGHTS = (np.ascontiguousarray(each) for each in np.polynomial.legendr
 
 @dataclass(frozen=True)
 class Profile:
-    """Squared rate x of sigma along a leg, quadratic in each of k intervals, and the time at their ends.
+    """Squared rate x of sigma along a leg, quadratic in each of k intervals, and the times at their ends.
 
     sigma (k + 1); x (k, 3): x = x0 + x1 f + x2 f^2 at the fraction f of an interval; times (k + 1) from 0 [s]
     """
@@ -527,7 +530,7 @@ class Profile:
         return self.leg.u(_when(np.clip(t, 0.0, self.times[-1]), self.sigma, self.x, self.times))
 
     def rates_at_end(self, last: bool) -> tuple[Array, Array]:
-        """First and second derivative by time of joints and arc length (nj + 1) where the leg begins or ends."""
+        """First and second time derivatives of joints and arc length (nj + 1) where the leg begins or ends."""
         i, f = (-1, 1.0) if last else (0, 0.0)
         x0, x1, x2 = self.x[i]
         x, slope = x0 + f * (x1 + f * x2), (x1 + 2.0 * f * x2) / (self.sigma[1:] - self.sigma[:-1])[i]
@@ -536,10 +539,10 @@ class Profile:
 
 
 def fastest_profile(leg: Leg, limits: Limits, speed: float) -> Profile:
-    """The fastest profile of a leg whose last column is arc length, of rate at most `speed` [m/s].
+    """The fastest profile of a leg whose last column is arc length, its rate at most `speed` [m/s].
 
-    Limits hold between grid points too: where the path overruns them there, they are tightened, then the speed around
-    is lowered, and in the end the whole leg is slowed down by what is left over.
+    Limits hold between grid points too: where the path overruns them there, they are tightened, then the speed nearby
+    is lowered, and finally the whole leg is slowed down by the remaining overrun.
     """
     v = np.append(HEADROOM * limits.velocity, speed)
     program_on = partial(leg_limits, leg, v, HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
@@ -550,7 +553,7 @@ def fastest_profile(leg: Leg, limits: Limits, speed: float) -> Profile:
 
 
 def _within_limits(leg: Leg, program: LegLimits) -> Profile:
-    """The fastest profile on a program's grid, its limits tightened as told above."""
+    """The fastest profile on a program's grid, its limits tightened as described for `fastest_profile`."""
     m = len(program.h)
     at_speed, acceleration, jerk = np.ones(m + 1), np.ones(m + 1), np.ones(m)  # shares of the limits that are used
     c, wanted = program.start, np.ones(-(-m // APART), dtype=np.bool_)
@@ -584,8 +587,11 @@ def _within_limits(leg: Leg, program: LegLimits) -> Profile:
 
 
 def _fastest(program: LegLimits, wanted: NDArray[np.bool_]) -> Array:
-    """Coefficients (m + 2) of the fastest profile, sought in the blocks that are wanted; in two threads if that is all of
-    them and the program can be cut, unless a half is not found so."""
+    """Coefficients (m + 2) of the fastest profile, optimised in the wanted blocks.
+
+    If all blocks are wanted and the program can be cut, two threads solve a half each; if either fails, it is solved
+    whole.
+    """
     p, blocks = program, np.arange(len(wanted))
     before = blocks < p.cut // APART
     parts = [before, ~before] if p.cut > 0 and wanted.all() else [wanted]
@@ -605,7 +611,7 @@ def _fastest(program: LegLimits, wanted: NDArray[np.bool_]) -> Array:
 
 
 def _blocks_beside(tightened: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The blocks with intervals (m) whose limits were tightened, and their neighbours: what else there is, stays."""
+    """The blocks with intervals (m) whose limits were tightened, and their neighbours; all others stay as they are."""
     blocks = np.zeros(-(-len(tightened) // APART) + 2, dtype=np.bool_)
     at = np.flatnonzero(tightened) // APART + 1
     for beside in (-1, 0, 1):

@@ -1,4 +1,4 @@
-"""TimedPath: the joints along one bead as a function of time; and the bound that timing is measured against."""
+"""TimedPath: the joints along one bead as a function of time; and the lower bound that timing is measured against."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from planner.resolve.joint_path import JointPath, refuse_at
 # ----------------------------------------------------------------------------------------------------
 # TimedPath: the joints along one bead as a function of time.
 
-BRACKETS = 256  # in which an instant is sought at which the nozzle is at a place
-LOOKS = 4  # between two samples of the task, to see that its arc length grows
-ROUNDING = 1e-9  # of the path's length, by which it may fall
-RAMP = 60e-3  # s at the commanded speed: what an arm takes, about, from rest to that speed
+BRACKETS = 256  # intervals that bracket the instant at which the nozzle is at a place
+LOOKS = 4  # checks between two samples of the task that its arc length grows
+ROUNDING = 1e-9  # share of the path's length by which it may decrease
+RAMP = 60e-3  # s at the commanded speed: about what an arm takes from rest to that speed
 
 
 @dataclass(frozen=True)
 class TimedPath:
     """One bead with its runs in time, from t = 0: legs of the path, and rests between them.
 
-    curve: joints and arc length over the path parameter; starts (k) of each leg, and how long it rests before it
+    curve: joints and arc length over the path parameter; starts (k): instant at which each leg starts [s]
     """
 
     path: JointPath
@@ -96,9 +96,9 @@ def time_path(
 ) -> TimedPath:
     """Time one bead as fast as speed, acceleration and jerk limits and the commanded speed allow.
 
-    timing: as `resolve.timing` of a problem; toppra knows no limits on jerk
-    It starts and ends at rest, but where it is `moving` along a run, and comes to rest at the task's stops. Raises Refusal
-    for a task whose arc length does not grow from sample to sample.
+    timing: as `resolve.timing` of a problem; toppra has no limits on jerk. The bead starts and ends at rest, except at
+    ends that are `moving` along a run, and comes to rest at the task's stops. Raises Refusal for a task whose arc
+    length does not grow from sample to sample.
     """
     curve, legs = legs_of(path, moving)
     profiles = tuple(_timing(timing)(leg, cell.limits, path.task.speed) for leg in legs)
@@ -111,7 +111,7 @@ def time_path(
 
 
 def _timing(name: str) -> Callable[[Leg, Limits, float], Profile]:
-    """What times a leg; toppra is loaded for who asks for it only."""
+    """The function that times a leg; toppra is loaded only if it is requested."""
     if name == "toppra":
         from planner.motion.timing.toppra_profile import toppra_profile
 
@@ -120,8 +120,10 @@ def _timing(name: str) -> Callable[[Leg, Limits, float], Profile]:
 
 
 def legs_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[PiecewiseCurve, tuple[Leg, ...]]:
-    """Joints and arc length over time at the commanded speed, and the legs from rest to rest of that curve; its ends are
-    passed in motion where it is `moving`, and the bead has a run there."""
+    """Joints and arc length over time at the commanded speed, and the legs of that curve from rest to rest.
+
+    An end is passed in motion if the path is `moving` there and the bead has a run.
+    """
     task = path.task
     n = len(task)
     # The path parameter is time at the commanded speed, so that its rate is 1 where that speed is held.
@@ -142,7 +144,7 @@ def legs_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[PiecewiseCurve,
 
 
 def at_arc_length(curve: PiecewiseCurve, wanted: float) -> float:
-    """Parameter where the curve's last column, which never falls, has the value wanted; or the nearer end."""
+    """Parameter where the curve's last column, which never decreases, has the wanted value; or the nearer end."""
     ends = curve.breaks[0], curve.breaks[-1]
     low, high = curve(np.array(ends))[:, -1]
     if wanted <= low or wanted >= high:
@@ -163,14 +165,14 @@ def at_arc_length(curve: PiecewiseCurve, wanted: float) -> float:
 # (a = x = 0) always satisfies them, so the controllable sets are never empty, however the path is shaped.
 
 REFINE = 4  # grid intervals for each interval of the task's samples
-_HALVINGS = 44  # of the interval in which a largest feasible x is sought: to 1e-13 of it
+_HALVINGS = 44  # of the interval searched for the largest feasible x: to 1e-13 of it
 
 
 def bound_time(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, False)) -> float:
-    """Time [s] that deposition takes at least, to the task's stops and from rest to rest, but where it is `moving` along a
-    run, without limits on jerk.
+    """Lower bound [s] on the time of deposition, without limits on jerk.
 
-    No headroom is kept below the limits. Rests at stops are not counted.
+    From rest to rest, with stops as the task has them; ends that are `moving` along a run are passed in motion. No
+    headroom is kept below the limits. Rests at stops are not counted.
     """
     task, total = path.task, 0.0
     curve, legs = legs_of(path, moving)

@@ -1,4 +1,4 @@
-"""TOPP-RA in the place of our own timing: the library toppra, which limits no jerk; a reference to compare it with.
+"""TOPP-RA instead of our own timing: the library toppra, which does not limit jerk, as a reference for comparison.
 
 Pham and Pham, "A new approach to time-optimal path parameterization based on reachability analysis", IEEE T-RO 2018.
 """
@@ -16,14 +16,14 @@ from planner.motion.timing.profile import HEADROOM, LEAST_RATE, Leg, Profile
 _REFINE = 4  # grid intervals for each of the path's samples, as for the bound
 _LEAST_INTERVALS = 60
 _ANY = 1e9  # rad/s^2: the acceleration along the path has no limit of its own
-_ROUNDING = 1e-6  # share of the greatest rate that is kept off it at an end
-_TRIES, _LESS = 60, 0.9  # of a rate at the end, and what each is of the one before: the greatest may be out of reach
+_ROUNDING = 1e-6  # share by which the rate at an end stays below the greatest
+_TRIES, _LESS = 60, 0.9  # rates tried at the end, each this share of the one before: the greatest may be infeasible
 
 toppra.setup_logging("ERROR")
 
 
 class _LegPath(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
-    """Joints of a leg over sigma, and behind them the arc length, whose rate does not vanish at rest: see `Leg.along`."""
+    """Joints of a leg over sigma, followed by the arc length, whose rate does not vanish at rest: see `Leg.along`."""
 
     def __init__(self, leg: Leg, columns: int) -> None:
         self._leg, self._columns = leg, columns
@@ -50,8 +50,10 @@ class _LegPath(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
 
 
 def toppra_profile(leg: Leg, limits: Limits, speed: float) -> Profile:
-    """The profile that toppra finds for a leg whose last column is arc length, of rate at most `speed` [m/s]; with the
-    headroom below speed and acceleration that our own timing keeps, and no limit on jerk."""
+    """The profile that toppra finds for a leg whose last column is arc length, its rate at most `speed` [m/s].
+
+    It keeps the same headroom below speed and acceleration limits as our own timing, and has no limit on jerk.
+    """
     v, a = np.append(HEADROOM * limits.velocity, speed), np.append(HEADROOM * limits.acceleration, _ANY)
     intervals = max(int(np.ceil(_REFINE * leg.end / leg.spacing)), _LEAST_INTERVALS)
     sigma = np.linspace(0.0, leg.end, intervals + 1)
@@ -69,7 +71,7 @@ def toppra_profile(leg: Leg, limits: Limits, speed: float) -> Profile:
 
 
 def _rates(search: algorithm.TOPPRA) -> Array:
-    """Rates (k) of sigma at the grid points, those at the ends as near to the nominal motion's, 1, as can be."""
+    """Rates (k) of sigma at the grid points, those at the ends as close as possible to the nominal motion's, 1."""
     last = float(np.sqrt(max(search.compute_feasible_sets()[-1, 1], 0.0)))
     for tried in range(_TRIES):
         end = _LESS**tried * min((1.0 - _ROUNDING) * last, 1.0)
@@ -79,4 +81,4 @@ def _rates(search: algorithm.TOPPRA) -> Array:
             rates = search.compute_parameterization(begin, end)[1]
             if rates is not None:
                 return np.asarray(rates)
-    raise RuntimeError("toppra finds no profile, although one that is slow enough always is there")
+    raise RuntimeError("toppra finds no profile, although a slow enough one always exists")

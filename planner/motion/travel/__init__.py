@@ -1,1 +1,1 @@
-"""Travel between beads, from state to state: jerk-limited, clear of the part, as quick as can be."""
+"""Travel between beads, from state to state: jerk-limited, clear of the part, as quick as possible."""

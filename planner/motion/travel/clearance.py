@@ -1,4 +1,4 @@
-"""What a travel keeps clear of: the part as far as it is printed."""
+"""What a travel keeps clear of: the part as printed so far."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from planner.toolpath.bead import Surface
 from planner.toolpath.waypoints.nearest import FAR
 
 NOZZLE_POINTS = (0.0, 0.01, 0.03, 0.06, 0.1)  # m behind the tip, along the nozzle, that must keep clear
-SLOPE = 0.5  # height gained, for each distance from an end: as steeply as runs rise
-STEP = 1e-3  # m that a point of the nozzle moves at most between two instants at which it is looked at
-SWEPT = 1e-3  # m that anything moves at most between two postures at which bodies are looked at
-_ENOUGH = 20e-3  # m of a lift that always count; more of it only up to FAR from the part
-_SLACK = 0.25 * STEP  # m of height that may be lacking, since a way is looked at in steps; but never to the part itself
+SLOPE = 0.5  # height gained per distance from an end: as steep as runs rise
+STEP = 1e-3  # m: greatest motion of a point of the nozzle between two instants that are checked
+SWEPT = 1e-3  # m: greatest motion of anything between two postures at which bodies are checked
+_ENOUGH = 20e-3  # m of a lift that always count; the rest counts only up to FAR from the part
+_SLACK = 0.25 * STEP  # m of height that may be lacking, since ways are checked in steps; never down to the part itself
 _FIRST_LOOK = 5e-3  # s between instants, unless the nozzle moves too far in that time
 _MOST_LOOKS = 20_000
-_STRIDES = (64, 16, 4, 1)  # instants from one look to the next: coarse ones first
+_STRIDES = (64, 16, 4, 1)  # instants from one check to the next: coarse ones first
 _ROUGH = 0.5e-3  # m by which a distance may change more than a point moves: surfaces of facets and samples are rough
 
 
@@ -46,9 +46,9 @@ def glance(cell: Cell, motion: Cubics) -> NozzleTrack:
 
 
 def track(cell: Cell, motion: Cubics, rough: NozzleTrack | None = None) -> NozzleTrack:
-    """Nozzle points all along a motion, none of which moves by more than STEP between two instants.
+    """Nozzle points along a whole motion, none of which moves by more than STEP between two instants.
 
-    rough: what a glance at it has shown, if there was one.
+    rough: the result of a glance at it, if there was one.
     """
     looked = glance(cell, motion) if rough is None else rough
     while True:
@@ -67,8 +67,10 @@ def _track(cell: Cell, motion: Cubics, n: int) -> NozzleTrack:
 
 
 def fine(motion: Cubics, swing: Array) -> Array:
-    """Postures (n, nj) along a motion, between which nothing moves by more than SWEPT; swing (nj): how far anything
-    moves for each radian of the joints [m]."""
+    """Postures (n, nj) along a motion, between which nothing moves by more than SWEPT.
+
+    swing (nj): greatest motion of anything per radian of each joint [m]
+    """
     n = max(int(np.ceil(motion.duration / _FIRST_LOOK)), 4)
     q = motion.joints(np.linspace(0.0, motion.duration, n + 1))
     most = float((np.abs(np.diff(q, axis=0)) @ swing).max())
@@ -85,15 +87,15 @@ def nozzle_points(cell: Cell, q: Array) -> Array:
 
 @dataclass(frozen=True)
 class TravelClearance(ReadOnlyArrays):
-    """What a travel keeps clear of, and how far.
+    """What a travel keeps clear of, and by how much.
 
-    surface   the part; `height` is how far it has grown in print [m]
+    surface   the part; `height` is how far the print stands out of it so far [m]
     lift      height above both at which travel is clear [m]
     tips      (2, 3) where the travel starts and ends [m], part frame
     gaps      (2, k) distances of the nozzle's points from the surface there [m]
 
-    Near its ends a travel is as near to the part as the bead's ends are. From there it must have gained height in
-    proportion to the distance from the end: it stays above a cone round each end, up to the height of the lift.
+    At its ends a travel is as close to the part as the ends of the beads are. From there it has to gain height in
+    proportion to the distance from the end: it stays above a cone around each end, up to the height of the lift.
     """
 
     surface: Surface
@@ -108,16 +110,16 @@ class TravelClearance(ReadOnlyArrays):
         return self.height + min(self.lift, max(_ENOUGH, FAR - self.height))
 
     def lacking(self, points: Array) -> float:
-        """Greatest height that the nozzle points (k, n, 3) lack [m]; the way is clear where it is 0 or less.
+        """Greatest height that nozzle points (k, n, 3) lack [m]; the way is clear if it is 0 or less.
 
         Most of a way is far from the part, and a distance changes by no more than a point moves: every 64th instant is
-        looked at first, then those between that this leaves open.
+        checked first, then those in between that this leaves undecided.
         """
         points = read_only(points)
         floor = min(0.0, float(self.gaps.min()))
         needed = _needed(points, self.tips, self.gaps, self.full, floor)
         most, before = -np.inf, 0
-        least = np.full(needed.shape, -np.inf)  # what distances are at least
+        least = np.full(needed.shape, -np.inf)  # lower bounds of the distances
         for stride in _STRIDES:
             row, column = _left_open(points, needed, least, before, stride)
             if len(row):
@@ -144,9 +146,10 @@ def _needed(points: Array, tips: Array, gaps: Array, full: float, floor: float) 
 
 @njit
 def _left_open(points: Array, needed: Array, least: Array, before: int, stride: int) -> tuple[Ints, Ints]:
-    """Which of every `stride`-th instant's points lack distance for all that is known: their rows and columns.
+    """Rows and columns of the points, at every `stride`-th instant, that are not known to be far enough away.
 
-    What is known of every `before`-th instant, if any, is brought into least (k, n) at these instants.
+    The lower bounds least (k, n) at these instants are first raised by those known at every `before`-th instant, if
+    any.
     """
     k, n, _ = points.shape
     rows, columns = np.empty(k * (n // stride + 2), dtype=np.int64), np.empty(k * (n // stride + 2), dtype=np.int64)

@@ -1,11 +1,11 @@
-"""Ways round the part and round obstacles: an arc at constant distance, and a search of joint space (RRT-connect).
+"""Ways around the part and around obstacles: an arc at constant distance, and a search of joint space (RRT-Connect).
 
-Where the wrist turns far, a straight move of the joints swings the nozzle about, and the speed of its tip keeps the
-travel slow. On an arc the tip goes the shortest way round the part, at constant distance from it, and the first joints
-compensate for what the wrist does; the joints are a spline of time.
+Where the wrist turns far, a straight move of the joints swings the nozzle about, and its tip's speed limit makes the
+travel slow. On an arc the tip takes the shortest way around the part, at constant distance from it, and the first
+joints compensate for the wrist's motion; the joints are a spline of time.
 
 Where no such way is clear of obstacles, two trees of postures grow from above the ends towards random postures and
-towards each other until they meet (Kuffner and LaValle, RRT-Connect, ICRA 2000); what is found is then made shorter.
+towards each other until they meet (Kuffner and LaValle, RRT-Connect, ICRA 2000); the way found is then shortened.
 The random numbers are the same each time.
 """
 
@@ -29,41 +29,41 @@ from planner.motion.travel.moves import Bounds, between, stopped
 from planner.motion.travel.ways import Built, Ends, lifted, reaching
 from planner.toolpath.waypoints.nearest import FAR
 
-_STEPS = 30  # of the walk round the part, if it were straight
-_GROWTH = 0.3  # of the distance from the nearer end: how long steps may be
+_STEPS = 30  # of the walk around the part, if it were straight
+_GROWTH = 0.3  # share of the distance from the nearer end that a step may take
 _LEAST_STEP = 1e-3  # m
 _MOST_STEPS = 4 * _STEPS
-FITS = ((1.4, 1.2), (1.7, 1.4), (1.95, 1.7))  # steeper than the cones above which a travel stays, and higher than the
-# lift, that an arc may start from, so that it still stays above them when it is rounded: tried in turn
+FITS = ((1.4, 1.2), (1.7, 1.4), (1.95, 1.7))  # how many times steeper than the cones above which a travel stays, and
+# higher than the lift, an arc is laid out, so that it still stays above them once rounded: tried in order
 _ROUNDS = 3  # of smoothing of the walk
 _PIECES = 32  # of the spline of time
-_RAMP = 0.5  # of the acceleration and jerk limits that speeding up may take; the rest bends the way
+_RAMP = 0.5  # share of the acceleration and jerk limits that speeding up may take; the rest is for bends
 _LEAST_RAMP = 1e-6  # s
 _ROUNDS_OF_TIME = 10  # in which times settle between the limits
-_CAUTION = 0.5  # exponent of the change of each
+_CAUTION = 0.5  # exponent that damps the change of times in each
 _RESCALINGS = 12
-_NEAR = 1.005  # of the time that the limits ask for: near enough
-_LIFTS = (1.0, 4.0, 16.0)  # of the least lift, from which it starts, in turn
-_DRAWN = 1500  # postures, at most
-_STEP = 0.25  # m that anything moves at most along one branch of a tree
+_NEAR = 1.005  # × the time that the limits require: close enough
+_LIFTS = (1.0, 4.0, 16.0)  # × the least lift: heights from which the search starts, in order
+_DRAWN = 1500  # random postures, at most
+_STEP = 0.25  # m: greatest motion of anything along one branch of a tree
 _SHORTCUTS = 300  # tried,
-_ALL = 0.5  # so many of them for all joints
+_ALL = 0.5  # share of them for all joints
 _WORTH = 0.02  # s that one must save
-_STOP = 0.15  # s that a rest costs, about
-_ROOM = 2e-3  # m of clearance more, where what is shortened turns out to pass too close by
-_LOOKS = 8  # at the tip along a straight move, for its speed
-_COARSE = 5.0 * SWEPT  # m of a step at which branches are looked at; the way itself is looked at finely
+_STOP = 0.15  # s: approximate cost of a rest
+_ROOM = 2e-3  # m of additional clearance, if the shortened way turns out to pass too close
+_LOOKS = 8  # checks of the tip's speed along a straight move
+_COARSE = 5.0 * SWEPT  # m: step in which branches are checked; the way itself is checked in fine steps
 
 
 def arc(cell: Cell, ends: Ends, room: TravelClearance, speed: float, fit: tuple[float, float]) -> Built | None:
-    """Round the part from state to state, the tip no faster than `speed` [m/s]; None if time does not help."""
+    """An arc around the part from state to state, the tip no faster than `speed` [m/s]; None if time does not help."""
     if not ends.resting:
         return _from_motion(cell, ends, room, speed, fit)
     return along_tips(cell, ends, _walk(room, *fit), speed)
 
 
 def along_tips(cell: Cell, ends: Ends, tips: Array, speed: float) -> Built | None:
-    """From rest to rest with the tip close to positions (k, 3) of the part frame, no faster than `speed` [m/s].
+    """From rest to rest with the tip close to positions (k, 3) in the part frame, no faster than `speed` [m/s].
 
     None if time does not help.
     """
@@ -74,7 +74,7 @@ def along_tips(cell: Cell, ends: Ends, tips: Array, speed: float) -> Built | Non
     times = max(1.0, ends.least / float(times[-1])) * times
     for _ in range(_ROUNDS_OF_TIME):
         motion = _spline(times, q)
-        # time passes more slowly where a limit is overrun, and more quickly where none is near
+        # slow down where a limit is overrun, speed up where none is near
         rate = maximum_filter1d(_hurry(cell, motion, ends.bounds, speed), 3)
         rate = uniform_filter1d(rate, 5) ** _CAUTION
         times = np.interp(times, motion.times, np.concatenate([[0.0], np.cumsum(rate * np.diff(motion.times))]))
@@ -89,7 +89,7 @@ def along_tips(cell: Cell, ends: Ends, tips: Array, speed: float) -> Built | Non
 
 
 def _hurry(cell: Cell, motion: Cubics, bounds: Bounds, speed: float) -> Array:
-    """How much longer each piece (m) should last to keep joint limits and the tip's speed [m/s]."""
+    """Factor (m) by which each piece should last longer to keep joint limits and the tip's speed [m/s]."""
     c3, c2, c1, _ = motion.coefficients
     h = np.diff(motion.times)[:, None]
     tip = cell.T_part_nozzle(motion.joints(motion.times))[:, :3, 3]
@@ -104,7 +104,7 @@ def _hurry(cell: Cell, motion: Cubics, bounds: Bounds, speed: float) -> Array:
 
 
 def _from_motion(cell: Cell, ends: Ends, room: TravelClearance, speed: float, fit: tuple[float, float]) -> Built | None:
-    """The same between states in motion: an arc from where the joints can be at rest soon to where they were."""
+    """The same between states in motion: the arc joins postures near these in which the joints can be at rest."""
     start, end = stopped(ends.bounds, ends.start, 1.0), stopped(ends.bounds, ends.end, -1.0)
     before, after = between(ends.bounds, ends.start, start), between(ends.bounds, end, ends.end)
     if before is None or after is None:
@@ -116,10 +116,10 @@ def _from_motion(cell: Cell, ends: Ends, room: TravelClearance, speed: float, fi
 
 
 def _walk(room: TravelClearance, steeper: float, higher: float) -> Array:
-    """Tip positions (k, 3) from the start's to the end's, over the part as far as is needed; closer to the ends closer together."""
+    """Tip positions (k, 3) from the start's to the end's, as high above the part as needed, denser near the ends."""
     p, goal = room.tips
     step = max(math.dist(p, goal) / _STEPS, _LEAST_STEP)
-    full = min(higher * room.full, max(room.full, FAR))  # a greater height waypoints do not tell
+    full = min(higher * room.full, max(room.full, FAR))  # surfaces given by waypoints know no greater heights
     points = [p]
     left, gap, normal = math.dist(p, goal), float(room.gaps[0, 0]), room.surface.normals(p[None])[0]
     while len(points) < _MOST_STEPS and left > _LEAST_STEP:
@@ -147,7 +147,7 @@ def _walk(room: TravelClearance, steeper: float, higher: float) -> Array:
 
 
 def _postures(cell: Cell, ends: Ends, tips: Array) -> Array:
-    """Postures (k, nj) along tip positions (k, 3); the wrist and the holder turn from the start's to the end's."""
+    """Postures (k, nj) along tip positions (k, 3); wrist and holder turn from the start's posture to the end's."""
     steps = np.linalg.norm(np.diff(tips, axis=0), axis=1) + _LEAST_STEP / _STEPS
     u = (np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum())[:, None]
     q = (1.0 - u) * ends.start.q + u * ends.end.q
@@ -167,7 +167,7 @@ def _times(cell: Cell, q: Array, bounds: Bounds, speed: float) -> Array:
     rates = np.abs(np.diff(q, axis=0)) / least[:, None]  # at full speed
     edge = np.maximum(rates[: len(q) // 4].max(axis=0), rates[-(len(q) // 4) :].max(axis=0))
     ramp = float((edge / (_RAMP * bounds.acceleration) + np.sqrt(edge / (_RAMP * bounds.jerk))).max())
-    # the time t at which a smooth ramp of length `ramp` from rest, and the same to rest, has come to u
+    # the time t at which u is reached, with a smooth ramp of length `ramp` from rest, and the same to rest
     total = float(least.sum())
     ramp = min(max(ramp, _LEAST_RAMP), total)
     fine = np.linspace(0.0, total + ramp, 40 * len(q))
@@ -184,12 +184,12 @@ def _smooth(x: Array) -> Array:
 def _spline(times: Array, q: Array) -> Cubics:
     """A uniform B-spline of degree 3 controlled by postures q (k, nj) at times (k), from rest to rest.
 
-    It does not overshoot its control values, so that it is as far from the part as these are, but for the roundings.
+    It does not overshoot its control values, so it is as far from the part as these are, except where it is rounded.
     """
     step = float(times[-1]) / (_PIECES + 2)
     at = np.arange(2, _PIECES + 1) * step
     inner = np.column_stack([np.interp(at, times, each) for each in q.T])
-    P = np.vstack([np.repeat(q[:1], 3, axis=0), inner, np.repeat(q[-1:], 3, axis=0)])  # thrice the same: at rest there
+    P = np.vstack([np.repeat(q[:1], 3, axis=0), inner, np.repeat(q[-1:], 3, axis=0)])  # triple ends: at rest there
     a, b, c, d = P[:-3], P[1:-2], P[2:-1], P[3:]
     coefficients = np.stack(
         [
@@ -204,8 +204,10 @@ def _spline(times: Array, q: Array) -> Cubics:
 
 @dataclass(frozen=True)
 class ClearSpace:
-    """Where a travel may be: clear of part and obstacles, when the print has come so far, with a margin; the tip no faster
-    than `speed` [m/s]."""
+    """Where a travel may be: clear of part and obstacles by a margin; the tip no faster than `speed` [m/s].
+
+    now: progress of the print, as for `Obstacles`
+    """
 
     cell: Cell
     room: TravelClearance
@@ -216,7 +218,7 @@ class ClearSpace:
 
     @property
     def swing(self) -> Array:
-        """How far anything moves for each radian of the joints (nj) [m]."""
+        """Greatest motion of anything per radian of each joint (nj) [m]."""
         return self.obstacles.swing
 
     def clear(self, a: Array, b: Array) -> bool:
@@ -228,12 +230,12 @@ class ClearSpace:
         return self.obstacles.hit(q, self.now, self.margin) < 0
 
     def towards(self, a: Array, b: Array) -> Array:
-        """The posture a step from a towards b, or b if it is no farther."""
+        """The posture one step from a towards b, or b if it is no farther away."""
         far = float(np.abs(b - a) @ self.swing)
         return b if far <= _STEP else a + _STEP / far * (b - a)
 
     def seconds(self, way: Array) -> Array:
-        """How long straight moves between postures (k, nj) take (k - 1) [s], each from rest to rest."""
+        """Approximate durations (k - 1) [s] of straight moves between postures (k, nj), each from rest to rest."""
         share = np.linspace(0.0, 1.0, _LOOKS + 1)[:, None]
         q = way[:-1, None] + share * (way[1:] - way[:-1])[:, None]
         tips = self.cell.T_part_nozzle(q.reshape(-1, way.shape[1]))[:, :3, 3].reshape(*q.shape[:2], 3)
@@ -243,7 +245,7 @@ class ClearSpace:
 
 
 class _Tree:
-    """Postures (n, nj), and which of them each was reached from; the array that they are in doubles where it is full."""
+    """Postures (n, nj), and the parent that each was reached from; their array doubles in size when it is full."""
 
     def __init__(self, root: Array) -> None:
         self._rows, self.parent = root[None].copy(), [-1]
@@ -272,9 +274,11 @@ class _Tree:
 
 
 def around(space: ClearSpace, ends: Ends) -> Iterator[list[Array]]:
-    """Postures (nj) at which ways round everything rest, from above the start to above the end, to be tried in turn: they have
-    been looked at in coarse steps. A way is shortened, then with more room, then as it was found, then from higher up.
-    Nothing if none is found."""
+    """Ways around everything, from above the start to above the end, by the postures (nj) at which they rest.
+
+    They have been checked in coarse steps only. Each way comes shortened, then shortened with more clearance, then as
+    found; then a way from higher up follows. Nothing if none is found.
+    """
     cell, room = space.cell, space.room
     limits, both = cell.limits, np.stack([ends.start.q, ends.end.q])
     low = np.maximum(limits.q_min, both.min(axis=0) - np.pi)
@@ -299,7 +303,7 @@ def _connect(space: ClearSpace, a: Array, b: Array, low: Array, high: Array) -> 
         if space.clear(here.q[near], new):
             own = here.add(new, near)
             other = there.nearest(new, space.swing)
-            while True:  # the other tree goes on as far as it can
+            while True:  # extend the other tree as far as possible
                 step = space.towards(there.q[other], new)
                 if not space.clear(there.q[other], step):
                     break
@@ -312,8 +316,11 @@ def _connect(space: ClearSpace, a: Array, b: Array, low: Array, high: Array) -> 
 
 
 def shorter(space: ClearSpace, way: Sequence[Array]) -> list[Array]:
-    """The way, postures (nj) at which it rests, with straight moves in place of detours where these are clear and save time:
-    of all joints, or of some while the others go as they did (Geraerts and Overmars, IJRR 26, 2007)."""
+    """Shorten a way, given by the postures (nj) at which it rests: replace detours by straight moves that save time.
+
+    The straight moves must be clear, and are of all joints or of some, while the others move as before (Geraerts and
+    Overmars, IJRR 26, 2007).
+    """
     rng, q = np.random.default_rng(0), np.array(way)
     legs = space.seconds(q)
     for _ in range(_SHORTCUTS):

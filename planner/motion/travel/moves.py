@@ -1,7 +1,7 @@
 """Jerk-limited moves from state to state as piecewise cubics of time: by ruckig, or in closed form between rests.
 
-Most moves are from rest to rest with all joints in proportion, so that one share of the way says it all. The closed
-form of that takes a tenth of the time that ruckig takes with its profiles read.
+Most moves are from rest to rest with all joints in proportion, so that one scalar, the share of the way, describes
+them. Its closed form takes a tenth of the time that ruckig takes, including the reading of its profiles.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from planner.base.compiled import inner_njit, njit
 from planner.motion.cubics import Cubics, JointState
 
 _REACHED = (ruckig.Result.Working, ruckig.Result.Finished)
-_EXACT = 1e-9  # rad, rad/s, rad/s^2: how well a move must end where it should; ruckig's own measure is 1e-8
-_LONGER, _TRIES = 1.001, 4  # where it does not: the move is given this much more time, so often
-LEAST_LEFT = 1e-6  # of a bound that a move always leaves to another
+_EXACT = 1e-9  # rad, rad/s, rad/s^2: how far a move may end from its target; ruckig's own tolerance is 1e-8
+_LONGER, _TRIES = 1.001, 4  # if it misses: × the duration for the next try, and how many tries
+LEAST_LEFT = 1e-6  # share of a bound that a move always leaves to another
 _TIME_RESOLUTION = 1e-4  # s
-_ROUNDING = 1e-12  # of a velocity or acceleration, by which a limit is wider than a state that stands at it
+_ROUNDING = 1e-12  # relative widening of a velocity or acceleration limit for a state that is exactly at it
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class Bounds:
 
 
 def between(bounds: Bounds, start: JointState, end: JointState, least: float = 0.0) -> Cubics | None:
-    """The quickest move from state to state within bounds, of `least` duration [s]; None if ruckig knows none.
+    """The quickest move from state to state within bounds, lasting at least `least` [s]; None if ruckig finds none.
 
-    All joints arrive together. Bounds on velocity and acceleration yield to the start's and the end's own.
+    All joints arrive together. Bounds on velocity and acceleration are widened to the start's and the end's own.
     """
     if start.resting and end.resting:
         return resting(bounds, start.q, end.q, least)
@@ -79,7 +79,7 @@ def _ruckig(bounds: Bounds, start: JointState, end: JointState, least: float) ->
 
 
 def stopped(bounds: Bounds, state: JointState, sign: float) -> JointState:
-    """Where joints may come to rest soon after a state (sign 1), or have been at rest soon before it (sign -1)."""
+    """A state at rest that joints can reach soon after a state (sign 1), or can have left soon before it (sign -1)."""
     time = (np.abs(state.v) / bounds.acceleration + bounds.acceleration / bounds.jerk).max()
     still = np.zeros_like(state.q)
     return JointState(state.q + sign * 0.5 * time * state.v, still, still)
@@ -92,7 +92,7 @@ def resting(bounds: Bounds, a: Array, b: Array, least: float = 0.0) -> Cubics:
 
 @njit
 def time_beside(bounds: Array, caps: Array, taken: Array, duration: float, vias: Array) -> float:
-    """Least duration [s] of a move from rest to rest that leaves time for another one, over vias (k, na).
+    """Least duration [s] of a move from rest to rest during which another one over vias (k, na) has time to finish.
 
     The two are added and share bounds (3, na) of velocity, acceleration and jerk. The first takes `taken` (3, na) of
     them if it lasts `duration`, and less if it lasts longer; the other rests at every via and is capped in velocity.
@@ -142,8 +142,10 @@ def _sum(phases: Array) -> float:
 
 @inner_njit
 def _phases(velocity: Array, acceleration: Array, jerk: Array, way: Array, out: Array) -> float:
-    """Fill out (7) with the durations of the phases from rest to rest over `way` (nj); the jerk of the share of it,
-    0 for no way."""
+    """Fill out (7) with the durations of the phases from rest to rest over `way` (nj).
+
+    Returns the jerk of the share of the way, 0 if there is no way to go.
+    """
     v, w, j = np.inf, np.inf, np.inf  # bounds of the share's velocity, acceleration and jerk
     for i in range(len(way)):
         size = abs(way[i])
@@ -153,9 +155,9 @@ def _phases(velocity: Array, acceleration: Array, jerk: Array, way: Array, out: 
         for k in range(7):
             out[k] = 0.0
         return 0.0
-    rise = min(w / j, np.sqrt(v / j))  # s of growing acceleration; then it is held, and shrinks again
+    rise = min(w / j, np.sqrt(v / j))  # s of growing acceleration, before it is held, and shrinks again
     held = v / (j * rise) - rise
-    if v * (2.0 * rise + held) > 1.0:  # too short a way to come to full velocity
+    if v * (2.0 * rise + held) > 1.0:  # the way is too short to reach full velocity
         rise = min(w / j, np.cbrt(0.5 / j))
         held = max(-1.5 * rise + np.sqrt(0.25 * rise * rise + 1.0 / (j * rise)), 0.0)
     cruise = max(1.0 / (j * rise * (rise + held)) - 2.0 * rise - held, 0.0)
@@ -195,7 +197,7 @@ def _resting(
     for i in range(n):
         for k in range(7):
             for power in range(4):
-                out[power, k, i] = shares[power, k] * (way[i] / q)  # q is 1, but for rounding
+                out[power, k, i] = shares[power, k] * (way[i] / q)  # q is 1, except for rounding
             out[3, k, i] += a[i]
     return times, out
 
@@ -221,7 +223,7 @@ def _constant_jerk(profile: ruckig.Profile) -> list[list[float]]:
 
 @inner_njit
 def _in_order(breaks: list[float]) -> Array:
-    """Breakpoints in order, each once: at least two; by insertion, for there are a few dozen at most."""
+    """Breakpoints sorted, without duplicates, at least two; by insertion, since there are a few dozen at most."""
     times = np.zeros(len(breaks))
     n = 0
     for t in breaks:

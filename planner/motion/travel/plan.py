@@ -30,36 +30,36 @@ from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Surface, Toolpath
 from planner.toolpath.runs import least_travel_time
 
-LOW_HUMPS = (0.6, 0.35)  # of the least lift, by which the nozzle is raised where little is enough: beads close by
-HIGH_HUMPS = (1.6, 2.5)  # where the lift alone is not enough
-LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the least lift, for ways that rest when they are lifted
-_OVER = 2.0  # of its height, from which on what a bead stands out by is no layer, but a gap beneath it
-_SPARE = 2e-5  # m more than its clearance that a travel keeps, since it is looked at in steps
-_SLIGHT = 1e-4  # m of clearance that it may lack where there is no other, as beside an end that has just enough
-_DEEP = 1e-3  # m of clearance that an end lacks, from which on it is the reason where there is no way
+LOW_HUMPS = (0.6, 0.35)  # × the least lift: how far the nozzle is raised where little is enough, as for beads close by
+HIGH_HUMPS = (1.6, 2.5)  # × the least lift, where the lift alone is not enough
+LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # × the least lift, for ways that rest once they are lifted
+_OVER = 2.0  # × its height: a bead that stands out by more than this is over a gap, and not just a layer higher
+_SPARE = 2e-5  # m kept in addition to a travel's clearance, since it is checked in steps
+_SLIGHT = 1e-4  # m of clearance that it may lack if there is no other way, as next to an end that has just enough
+_DEEP = 1e-3  # m: if there is no way, an end that lacks more clearance than this is reported as the reason
 _SLOWER_TRIES = 12  # each brings the tip's speed down to the limit or close to it
-_AIM, _FAST = 0.98, 0.995  # of the tip's greatest speed: what is aimed at, and what is slow enough between instants
-_ARC = 1.5  # of a straight move's time, that an arc hardly beats
-_MUCH = 0.5  # s that a way by rests takes more than the least time, from which on a shorter one is looked for
+_AIM, _FAST = 0.98, 0.995  # shares of the tip's greatest speed: the target, and what is slow enough between instants
+_ARC = 1.5  # × the straight move's time: an arc is rarely faster than this
+_MUCH = 0.5  # s: a way with rests that takes this much more than the least time is shortened
 _EQUAL = 1e-3  # s by which a way may be slower than one that is less preferred
 _ROUNDING = 1e-6  # s that a travel lasts longer than it has to
-_LIMIT_ROUNDING = 1e-9  # of a limit
-_PLACES = 31  # along the normal, that the tip keeps to
-_LEAST = 1e-6  # m: a lower lift is none
-_HOLDER_STEP = 5e-3  # m that what a holder carries moves at most from one posture that is looked at to the next
+_LIMIT_ROUNDING = 1e-9  # share of a limit
+_PLACES = 31  # tip positions on a straight line along the normal
+_LEAST = 1e-6  # m: a lower lift counts as none
+_HOLDER_STEP = 5e-3  # m: greatest motion of what the holder carries between two postures that are checked
 _ROUNDED = 1e-9  # m of clearance, for rounding
-# Position, velocity and acceleration at the end of three equal spells of jerk, for each jerk in turn (cf. h^3, h^2, h).
+# Position, velocity and acceleration after three equal phases of constant jerk, per jerk of each (in h^3, h^2, h).
 _REACHED = np.array([[19.0 / 6.0, 7.0 / 6.0, 1.0 / 6.0], [2.5, 1.5, 0.5], [1.0, 1.0, 1.0]])
 NO_WAITS: Mapping[int, float] = MappingProxyType({})
-_LONGER = 1.0 + 1e-9  # of what it takes to keep a limit, for rounding
+_LONGER = 1.0 + 1e-9  # × the duration that keeps a limit, for rounding
 
 
 @dataclass(frozen=True)
 class TravelTask:
     """One travel: its ends, what it keeps clear of, how fast the tip may move over the part [m/s].
 
-    obstacles, now   what bodies keep clear of, when the print has come so far [beads]; margin: how much more than
-                     their clearance they keep [m]: less than none where an end of the travel itself lacks some
+    obstacles, now   what bodies keep clear of, at this progress of the print [beads]
+    margin           how much they keep beyond their clearance [m]; negative if an end of the travel itself lacks some
     """
 
     cell: Cell
@@ -72,11 +72,11 @@ class TravelTask:
 
     @property
     def space(self) -> ClearSpace:
-        """Where it may be."""
+        """Where the travel may be."""
         return ClearSpace(self.cell, self.room, self.speed, self.obstacles, self.now, self.margin)
 
     def hit(self, motion: Cubics) -> int:
-        """Which pair of bodies comes too near along a motion, or -1."""
+        """Number of a pair of bodies that come too close along a motion, or -1."""
         if not self.obstacles.any:
             return -1
         return self.obstacles.hit(fine(motion, self.obstacles.swing), self.now, self.margin)
@@ -84,14 +84,14 @@ class TravelTask:
 
 @dataclass(frozen=True)
 class ViaRest:
-    """Travel by way of a place to rest, which is home, or lifted above the bead before: to there and from there."""
+    """Travel to and from a place to rest, which is home, or lifted above the previous bead."""
 
     out: Cubics
     back: Cubics
 
     @property
     def duration(self) -> float:
-        """Of both ways together, without the rest [s]."""
+        """Duration of both ways together, without the rest [s]."""
         return self.out.duration + self.back.duration
 
 
@@ -107,15 +107,15 @@ def plan_travels(
     obstacles: Obstacles = NOTHING,
     within: Mapping[int, float] = NO_WAITS,
 ) -> list[Travel]:
-    """The way from home to the first bead, between beads, and home: one more than are timed; or `which` of them.
+    """Plan travel from home to the first bead, between beads, and home: one more than are timed; or `which` of them.
 
-    timed: all beads of the toolpath, or the last ones, where those before are there from the beginning.
+    timed: all beads of the toolpath, or the last ones, if those before are there from the beginning.
 
-    within: travels, by their number, in which there is time to rest, and how long they may take [s]: by way of home, or where
-    that takes longer, lifted; where neither place can be reached, they take all of it on their way.
+    within: travels, by number, that leave time for a rest, and how long they may take [s]. They rest at home or, where
+    that would take longer, lifted; if neither place can be reached, they spend all of that time on their way.
 
-    With the runs beside it each leaves the extruder the time to retract and prime. Where there is something to wait for
-    (see `visits`) it goes by way of home. Raises Refusal if no way is clear of the part, of what is printed, and of obstacles.
+    With the adjacent runs, each travel leaves the extruder time to retract and prime. Where there is something to wait
+    for (see `visits`), it goes by way of home. Raises Refusal if no way is clear of the part, the print and obstacles.
     """
     beads, before = toolpath.beads, len(toolpath.beads) - len(timed)
     surfaces = [toolpath.surface.before(i) for i in range(len(beads) + 1)]
@@ -130,7 +130,7 @@ def plan_travels(
     }
 
     def home_beside(i: int, state: JointState | None, material: str) -> JointState:
-        """Home with the holder where a bead's end has it, or at its own home, where only that leaves room."""
+        """Home with the holder where it is at a bead's end, or at its own home if only that is clear."""
         beside = _home_beside(cell, state)
         both = np.stack([beside.q, cell.home])
         margins, _ = around[material][1].margins(both, np.full(2, float(i)), _SPARE)
@@ -152,7 +152,7 @@ def plan_travels(
             raise Refusal(
                 too_near(task, "at home"),
                 bead=None if beside is None else beside.path.task.bead,
-                hints=("another cell.home_deg, which keeps clear of part and print",),
+                hints=("choose a cell.home_deg that is clear of part and print",),
             )
         task = TravelTask(cell, ends, space, process.travel_speed, obstacles, float(i), least - _ROUNDED)
         motion = find(task)
@@ -199,10 +199,10 @@ def plan_travels(
 
 
 def _grown(beads: Sequence[Bead], surfaces: Sequence[Surface]) -> list[float]:
-    """How far what is printed before each bead, and after the last one, stands out of the surface then (n + 1) [m]; surfaces
-    are those before each bead and after the last one.
+    """How far the print stands out of the surface before each bead, and after the last one (n + 1) [m].
 
-    A bead over a gap stands out by half its width, until the surface knows of its layer: it is measured again then.
+    surfaces: those before each bead and after the last one. A bead over a gap stands out by half its width until its
+    layer becomes part of the surface, and is then measured again.
     """
     lasting, most, out = 0.0, 0.0, [0.0]
     layer, over = -1, list[tuple[float, Bead, Surface]]()
@@ -228,7 +228,7 @@ def _stands_out(bead: Bead, surface: Surface) -> float:
 
 
 def no_way(task: TravelTask, find: Callable[[TravelTask], Cubics | None]) -> str:
-    """Why there is no way: what the one would run into that knows of no obstacles, if there is one."""
+    """Why there is no way: what a way planned without obstacles would run into, if there is one."""
     motion = find(replace(task, obstacles=NOTHING)) if task.obstacles.any else None
     if motion is None:
         return "no way to or from this bead is clear of the part, and within the limits of joints and travel speed"
@@ -237,8 +237,10 @@ def no_way(task: TravelTask, find: Callable[[TravelTask], Cubics | None]) -> str
 
 
 def too_near(task: TravelTask, place: str = "") -> str:
-    """Which bodies lack clearance where a travel starts or ends, and how much; place: where that is, in words, if it is not
-    a bead's end."""
+    """Which bodies lack clearance where a travel starts or ends, and how much.
+
+    place: where that is, in words, if it is not a bead's end
+    """
     both = np.stack([task.ends.start.q, task.ends.end.q])
     margins, which = task.obstacles.margins(both, np.full(2, task.now), _SPARE)
     k = int(margins.argmin())
@@ -248,7 +250,7 @@ def too_near(task: TravelTask, place: str = "") -> str:
 
 
 def _least(process: ProcessSpec, toolpath: Toolpath, leave: TimedPath | None, reach: TimedPath | None) -> float:
-    """How long the travel between two beads lasts at least [s]: what the runs leave of the time that the extruder needs."""
+    """Least duration of the travel between two beads [s]: the time the extruder needs, less that of the runs."""
     left, reached = (None if end is None else toolpath.beads[end.path.task.bead].material for end in (leave, reach))
     least = least_travel_time(process, left, reached)
     if least > 0.0 and leave is not None:
@@ -260,15 +262,15 @@ def _least(process: ProcessSpec, toolpath: Toolpath, leave: TimedPath | None, re
 
 
 def _material(leave: TimedPath | None, reach: TimedPath | None) -> str:
-    """The material whose nozzle is in use between two beads: the arm is at home where it changes."""
+    """The material whose nozzle is in use between two beads; it changes only when the arm is at home."""
     beside = leave if reach is None else reach
     if beside is None:
-        raise ValueError("a travel is beside one bead at least")
+        raise ValueError("a travel starts or ends at a bead")
     return beside.path.task.material
 
 
 def _home_beside(cell: Cell, state: JointState | None) -> JointState:
-    """At rest at home, the arm's; the holder stays where the bead's end has it."""
+    """At rest with the arm at home; the holder stays where it is at the bead's end."""
     home = cell.home.copy()
     if state is not None:
         home[len(cell.arm) :] = state.q[len(cell.arm) :]
@@ -277,9 +279,9 @@ def _home_beside(cell: Cell, state: JointState | None) -> JointState:
 
 @dataclass(frozen=True)
 class TravelWay:
-    """One way to travel: how it is built below caps of velocity, and a time [s] that it cannot beat, or hardly.
+    """One way to travel: how to build it below velocity caps, and a lower bound, or nearly one, of its duration [s].
 
-    instead: what to try where it is not clear of the part
+    instead  what to try if it is not clear of the part
     vias     postures (nj) at which it rests, for ways of that kind
     """
 
@@ -290,11 +292,11 @@ class TravelWay:
 
 
 def quickest(task: TravelTask) -> Cubics | None:
-    """The quickest of all ways that is clear and within limits; None if none is.
+    """The quickest of all ways that are clear and within limits; None if there is none.
 
-    To know a way's duration costs little, to see whether it is clear costs more. So ways are built in the order of
-    the times that they cannot beat, and looked at in the order of their durations; one that is too fast for the tip
-    goes back into the queue, slowed down, unless a glance shows that it is not clear.
+    A way's duration is cheap to compute, its clearance is more expensive. So ways are built in the order of their lower
+    bounds, and checked in the order of their durations; a way whose tip is too fast goes back into the queue, slowed
+    down, unless a glance shows that it is not clear.
     """
     cell = task.cell
     if _holder_is_barred(task):
@@ -338,7 +340,7 @@ def quickest(task: TravelTask) -> Cubics | None:
 
 
 def free_caps(cell: Cell) -> Caps:
-    """Caps that stop nothing."""
+    """Caps without effect."""
     return Caps(np.full(len(cell.home), np.inf), np.full(len(cell.arm), np.inf))
 
 
@@ -354,9 +356,9 @@ def _resting(
 
 
 def cut_short(task: TravelTask, vias: Sequence[Array], resting: Cubics) -> Cubics:
-    """A way that is clear and rests at postures (nj), or a shorter one that is clear and quicker, if that may save much.
+    """A clear way that rests at postures (nj), or a shorter one that is clear and quicker, if that may save much.
 
-    Where no obstacles are known nothing is cut: a way that goes far round is more likely to be clear of them.
+    If no obstacles are known, nothing is cut: a wide detour is more likely to be clear of unknown ones.
     """
     direct = ways.straight(task.cell, replace(task.ends, least=0.0), free_caps(task.cell))
     chord = float(np.linalg.norm(task.room.tips[1] - task.room.tips[0])) / task.speed
@@ -371,8 +373,10 @@ def cut_short(task: TravelTask, vias: Sequence[Array], resting: Cubics) -> Cubic
 
 
 def _holder_is_barred(task: TravelTask) -> bool:
-    """Whether the holder's one axis, on its way, brings what it carries too near to what the arm does not move: then no way
-    of the arm helps. More axes than one have ways round."""
+    """Whether the holder's only axis, on its way, brings its load too close to bodies that the arm does not move.
+
+    Then no motion of the arm helps. A holder with more than one axis can go around.
+    """
     na, start, end = len(task.cell.arm), task.ends.start.q, task.ends.end.q
     if not task.obstacles.any or len(start) != na + 1:
         return False
@@ -388,8 +392,8 @@ def _holder_is_barred(task: TravelTask) -> bool:
 def _look(task: TravelTask, motion: Cubics) -> tuple[bool, float]:
     """Whether a motion is clear, and how fast its tip is [m/s].
 
-    One that is too fast is only glanced at, which shows what runs into the part: it will be looked at when it is slowed
-    down, if it is still the quickest then.
+    If it is too fast, it is only glanced at, which reveals collisions with the part: it will be checked once it is
+    slowed down, if it is still the quickest then.
     """
     rough = glance(task.cell, motion)
     if task.room.lacking(rough.points) > 0.0:
@@ -401,9 +405,9 @@ def _look(task: TravelTask, motion: Cubics) -> tuple[bool, float]:
 
 
 def with_time(task: TravelTask) -> Cubics | None:
-    """The quickest way; if it has to last longer, what is to spare is waited where the nozzle is lifted, or at home.
+    """The quickest way; if it has to last longer, the robot waits with the nozzle lifted, or at home.
 
-    Where it has to last only a little longer, less than lifting takes, it is a slower one.
+    If it has to last only a little longer, less than lifting takes, it is slowed down instead.
     """
     ends, space = task.ends, task.room
     motion = quickest(replace(task, ends=replace(ends, least=0.0)))
@@ -420,9 +424,9 @@ def with_time(task: TravelTask) -> Cubics | None:
 
 
 def upright(task: TravelTask) -> Cubics | None:
-    """Up along the normal, the quickest way across, and down along the normal, at rest in between; None if none is clear.
+    """Up along the normal, the quickest way across, and down along the normal, at rest in between; None if not clear.
 
-    The way across keeps clear by the whole lift; time to spare is waited above the start. Both ends are at rest.
+    The way across keeps clear by the whole lift; spare time is spent waiting above the start. Both ends are at rest.
     """
     cell, ends, space = task.cell, task.ends, task.room
     for factor in LIFTS:
@@ -442,7 +446,7 @@ def upright(task: TravelTask) -> Cubics | None:
 
 
 def above(cell: Cell, ends: Ends, room: TravelClearance, raised: float) -> tuple[JointState, JointState]:
-    """At rest `raised` [m] above both ends, along the part's normal; an end that is so high itself, as home, stays."""
+    """At rest `raised` [m] above both ends, along the part's normal; an end already that high, such as home, stays."""
     near = room.gaps[:, 0] < room.gaps[:, 0].min() + raised
     tips = room.tips + np.where(near, raised, 0.0)[:, None] * room.surface.normals(room.tips)
     q = np.stack([ends.start.q, ends.end.q])
@@ -451,7 +455,7 @@ def above(cell: Cell, ends: Ends, room: TravelClearance, raised: float) -> tuple
 
 
 def along_normal(cell: Cell, ends: Ends, speed: float) -> Cubics | None:
-    """From one end to the other, both at rest, the tip on the straight line between them, no faster than `speed` [m/s]."""
+    """From end to end, both at rest, the tip on the straight line between them, no faster than `speed` [m/s]."""
     tips = cell.T_part_nozzle(np.stack([ends.start.q, ends.end.q]))[:, :3, 3]
     if np.linalg.norm(tips[1] - tips[0]) < _LEAST:
         return rest(ends.start.q, 0.0)
@@ -469,7 +473,7 @@ def _is_clear(task: TravelTask, motion: Cubics) -> bool:
 
 
 def _ways(task: TravelTask, free: Caps) -> Iterator[TravelWay]:
-    """All ways; among those that take as long, the one that is preferred comes first."""
+    """All ways, the preferred one first among those that take equally long."""
     cell, ends, room = task.cell, task.ends, task.room
     lift = room.lift
     direct = ways.straight(cell, ends, free)
@@ -499,12 +503,12 @@ def _ways(task: TravelTask, free: Caps) -> Iterator[TravelWay]:
 
 
 def _uncapped(build: Callable[[], Built | None], caps: Caps) -> Built | None:
-    """A way that keeps the tip's speed by itself."""
+    """Build a way that keeps the tip's speed by itself: caps are ignored."""
     return build()
 
 
 def _slower(built: Built, factor: float) -> Caps:
-    """Caps that bring the velocities of a way's parts down to a share of what they reached."""
+    """Caps on the velocities of a way's parts: `factor` times those that they reached."""
     along = built.motion if built.along is None else built.along
     caps = np.maximum(factor * extremes(along).velocity, ways.SLOWEST)
     over = (
@@ -530,10 +534,10 @@ def carried_travels(
 ) -> list[Travel | None]:
     """Travel as planned, but between the ends of these beads; home stays at home.
 
-    A controller goes through the targets of its program wherever the work object stands, and joins them as before. So the
-    change of a travel's joints goes over from that at its one end to that at the other.
-    Where it would be too fast for a joint or for the tip, or the runs leave the extruder too little time to retract and
-    prime, it takes longer; None if it cannot, for a bead's end moves.
+    A controller visits the targets of its program wherever the work object is, and joins them as before. So the change
+    of a travel's joints blends from that at one end to that at the other. Where it would be too fast for a joint or for
+    the tip, or the runs leave the extruder too little time to retract and prime, it takes longer; None if it cannot,
+    because a bead's end is in motion.
     """
 
     def carried(way: Cubics, leave: TimedPath | None, reach: TimedPath | None) -> Cubics | None:
@@ -555,8 +559,10 @@ def carried_travels(
 
 
 def _carried(cell: Cell, way: Cubics, start: JointState, end: JointState, least: float, speed: float) -> Cubics | None:
-    """One way between other ends, that lasts `least` [s] and more, the tip no faster than speed [m/s]; None where it would
-    have to be slower, but cannot."""
+    """A way moved to other ends, lasting at least `least` [s], the tip no faster than `speed` [m/s].
+
+    None if it would have to be slower, but cannot.
+    """
     moved, resting = between_ends(way, start, end), start.resting and end.resting
     lasts = moved.duration > 0.0
     if moved.duration < least - _ROUNDING and not (resting and lasts):
@@ -576,10 +582,10 @@ def _carried(cell: Cell, way: Cubics, start: JointState, end: JointState, least:
 
 
 def between_ends(way: Cubics, start: JointState, end: JointState) -> Cubics:
-    """A motion changed so that it leads from one state to another, in the same time, as smoothly as it did.
+    """A motion changed so that it leads from one state to another, in the same time, and as smooth as before.
 
-    The change has constant jerk in each third of the time: six conditions at the ends determine it. A motion that
-    takes no time stays as it is.
+    The change has constant jerk in each third of the time: six conditions at the ends determine it. A motion of zero
+    duration stays as it is.
     """
     if way.duration == 0.0:
         return way
@@ -599,6 +605,6 @@ def between_ends(way: Cubics, start: JointState, end: JointState) -> Cubics:
 
 
 def slower(motion: Cubics, times: float) -> Cubics:
-    """The same motion, taking so many times as long."""
+    """The same motion, taking `times` times as long."""
     powers = times ** np.arange(3.0, -1.0, -1.0)
     return Cubics(motion.times * times, motion.coefficients / powers[:, None, None])

@@ -1,7 +1,7 @@
 """Ways from one state to another: straight, with a hump over the part, or by way of postures at which it rests.
 
-A hump is a second motion of the arm alone, laid over the straight move: the sum of piecewise cubics is one again, and
-the travel takes no longer where what the straight move leaves of the limits lifts the nozzle in the time it takes.
+A hump is a second motion of the arm alone, added to the straight move: the sum of piecewise cubics is piecewise cubic
+again, and the travel takes no longer if the limits' remainder suffices to lift the nozzle during the straight move.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from planner.motion.travel.moves import LEAST_LEFT, Bounds, between, resting, ti
 
 DRAW_BACK = 0.5  # rad of the lower arm, backwards: lifts the nozzle off the part and towards the arm's base
 _NEWTON_STEPS = 4  # towards a tip position, at most
-_REACHED = 1e-6  # m: near enough to it
+_REACHED = 1e-6  # m: close enough to it
 _DAMPING = 1e-6  # m^2: keeps steps small where the arm is stretched
-_STRETCHES = 8  # tries to give the lift the time it needs
-_SHARE = 0.5  # of an arm joint's acceleration and jerk that a straight move in motion takes, the rest lifts
-_MORE = 1e-6  # s that a straight move lasts longer than what is laid over it needs
-_SLOWER_TRIES = 4  # of a move whose tip is too fast: between rests the first one does
-SLOWEST = 1e-3  # rad/s that a joint may always move, so that a cap never stops it
-_IN_TIME = 1.0 - 1e-9  # of the straight move: the hump ends within it, whatever rounding does
+_STRETCHES = 8  # attempts to give the lift the time it needs
+_SHARE = 0.5  # share of an arm joint's acceleration and jerk for a straight move between moving ends; the rest lifts
+_MORE = 1e-6  # s that a straight move lasts longer than its hump needs
+_SLOWER_TRIES = 4  # for a move whose tip is too fast: between rests the first one suffices
+SLOWEST = 1e-3  # rad/s that a joint may always move at, so that a cap never stops it
+_IN_TIME = 1.0 - 1e-9  # share of the straight move: the hump ends within it, in spite of rounding
 
 
 @dataclass(frozen=True)
 class Caps:
-    """Greatest joint velocities (nj) of the straight move, and of what is laid over it [rad/s]."""
+    """Greatest joint velocities of the straight move (nj), and of the hump over it [rad/s]."""
 
     along: Array
     over: Array
@@ -43,7 +43,7 @@ class Caps:
 
 @dataclass(frozen=True)
 class Built:
-    """A way as it would be driven, and its parts: the straight move and what is laid over it, if anything is."""
+    """A way as it would be driven, and its parts: the straight move, and the hump over it if there is one."""
 
     motion: Cubics
     along: Cubics | None = None
@@ -52,7 +52,7 @@ class Built:
 
 @dataclass(frozen=True)
 class Ends:
-    """The two states that a travel joins, how long it lasts at least [s], and what of the limits it may take."""
+    """The two states that a travel joins, its least duration [s], and the bounds that it may use."""
 
     start: JointState
     end: JointState
@@ -66,7 +66,7 @@ class Ends:
 
 
 def bounds_of(cell: Cell) -> Bounds:
-    """What travel uses of the joints' limits."""
+    """The bounds that travel keeps: joint limits less headroom."""
     limits = cell.limits
     return Bounds(HEADROOM * limits.velocity, HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
 
@@ -80,7 +80,7 @@ def straight(cell: Cell, ends: Ends, caps: Caps) -> Built | None:
 def hump(cell: Cell, ends: Ends, room: TravelClearance, raised: float, turns: int, caps: Caps) -> Built | None:
     """The straight move, the nozzle lifted off the part by `raised` [m] more than at the ends.
 
-    With one turn the lift is that of the middle; with three it follows the part from the start over the middle.
+    With one turn the lift is that of the middle; with three it follows the part at the start, the middle and the end.
     """
     shares = np.array([0.5]) if turns == 1 else np.array([0.0, 0.5, 1.0])
     along = _along(cell, ends, caps, ends.least)
@@ -103,7 +103,7 @@ def hump(cell: Cell, ends: Ends, room: TravelClearance, raised: float, turns: in
 def _along(cell: Cell, ends: Ends, caps: Caps, least: float) -> Cubics | None:
     """The straight move below a hump."""
     bounds = ends.bounds.capped(caps.along)
-    if not ends.resting:  # joints do not move in proportion then: each takes all that it is given
+    if not ends.resting:  # then joints do not move in proportion, and each uses all that it is given
         share = np.where(np.arange(len(bounds.jerk)) < len(cell.arm), _SHARE, 1.0)
         own = np.maximum(np.abs(ends.start.a), np.abs(ends.end.a))
         acceleration = np.minimum(bounds.acceleration, np.maximum(share * bounds.acceleration, own))
@@ -114,8 +114,8 @@ def _along(cell: Cell, ends: Ends, caps: Caps, least: float) -> Cubics | None:
 def _laid_over(ends: Ends, along: Cubics, vias: Array, caps: Caps) -> tuple[Cubics | None, float]:
     """A motion of the arm's joints over vias (k, na) within what a straight move leaves of the limits.
 
-    Or None, and how long the straight move should last for that [s]. First and last via are 0; between the first and
-    the last two it is as quick as can be, and the time that is left is spent between these.
+    Or None, and how long the straight move should last for it [s]. The first and last vias are 0; the first and last
+    moves are as quick as possible, and the remaining time is spent between them.
     """
     na = vias.shape[1]
     found = extremes(along)
@@ -138,15 +138,15 @@ def _laid_over(ends: Ends, along: Cubics, vias: Array, caps: Caps) -> tuple[Cubi
 
 
 def _with_holder(cell: Cell, arm: Cubics) -> Cubics:
-    """The arm's motion with a holder that stays."""
+    """The arm's motion with a holder that stays still."""
     still = np.zeros((*arm.coefficients.shape[:2], len(cell.holder)))
     return Cubics(arm.times, np.concatenate([arm.coefficients, still], axis=2))
 
 
 def lifted(cell: Cell, q: Array, room: TravelClearance, raised: float) -> Array:
-    """The arm's joints (m, na) at postures q (m, nj), the tip so far off the part as a travel by that much higher is.
+    """The arm's joints (m, na) near postures q (m, nj), the tip lifted off the part along its normal.
 
-    That is `raised` [m] above the nearer of the two ends, along the part's normal.
+    It is lifted to a distance `raised` [m] greater than that of the end nearer to the part.
     """
     tip = cell.T_part_nozzle(q)[:, :3, 3]
     want = float(room.gaps[:, 0].min()) + raised
@@ -157,7 +157,7 @@ def lifted(cell: Cell, q: Array, room: TravelClearance, raised: float) -> Array:
 def reaching(cell: Cell, q: Array, tips: Array) -> Array:
     """The arm's joints (m, na) near postures q (m, nj) that bring the tip to points (m, 3) of the part frame.
 
-    Of all that do, the ones that the joints reach soonest; the nozzle's direction is left to itself.
+    Of all such joints, those that are reached soonest; the nozzle's direction is left free.
     """
     na = len(cell.arm)
     T_world_part = cell.holder.poses(q[:, na:])
@@ -196,8 +196,7 @@ def _reaching(placements: Array, axes: Array, T_last_tip: Array, q: Array, goal:
 
 
 def lifted_over(cell: Cell, ends: Ends, room: TravelClearance, raised: float, through: str) -> list[Array]:
-    """Postures (nj) by way of which a travel is lifted along the normal, goes across as one of `POSTURES` names it, and is
-    lowered."""
+    """Postures (nj) of a travel that is lifted along the normal, crosses by `POSTURES[through]`, and is lowered."""
     na = len(cell.arm)
     both = np.stack([ends.start.q, ends.end.q])
     a, b = np.hstack([lifted(cell, both, room, raised), both[:, na:]])
@@ -205,7 +204,7 @@ def lifted_over(cell: Cell, ends: Ends, room: TravelClearance, raised: float, th
 
 
 def resting_at(cell: Cell, ends: Ends, vias: Sequence[Array], speed: float, caps: Caps) -> Built | None:
-    """By way of postures (nj) at which it rests; each move between them is as slow as its tip must be, at `speed` [m/s]."""
+    """A way that rests at postures (nj); moves between them are slow enough for the tip to keep to `speed` [m/s]."""
     bounds = ends.bounds.capped(caps.along)
     states = [ends.start, *(at_rest(via) for via in vias), ends.end]
     moves = [below_tip_speed(cell, bounds, a, b, speed) for a, b in itertools.pairwise(states)]
@@ -214,7 +213,7 @@ def resting_at(cell: Cell, ends: Ends, vias: Sequence[Array], speed: float, caps
 
 
 def below_tip_speed(cell: Cell, bounds: Bounds, start: JointState, end: JointState, speed: float) -> Cubics | None:
-    """The quickest move from state to state whose tip is no faster than `speed` [m/s], or one that is close to it."""
+    """The quickest move from state to state whose tip is no faster than `speed` [m/s], or close to that."""
     move = between(bounds, start, end)
     for _ in range(_SLOWER_TRIES):
         if move is None:
@@ -227,14 +226,14 @@ def below_tip_speed(cell: Cell, bounds: Bounds, start: JointState, end: JointSta
 
 
 def at_rest(q: Array) -> JointState:
-    """The state of standing still at posture q (nj)."""
+    """The state of rest at posture q (nj)."""
     return JointState(q, np.zeros_like(q), np.zeros_like(q))
 
 
 def waiting(pieces: Sequence[Cubics | None], least: float) -> Cubics | None:
-    """Pieces with rests between, end to end; what lacks to the least duration [s] is waited at the first rest.
+    """Pieces end to end, at rest in between; time missing to the least duration [s] is spent waiting at the first rest.
 
-    None if there is no such piece.
+    None if any piece is missing.
     """
     known = [piece for piece in pieces if piece is not None]
     if len(known) < len(pieces):
@@ -256,7 +255,7 @@ def _home(cell: Cell, b: Array) -> Array:
     return np.concatenate([cell.home[: len(cell.arm)], b[len(cell.arm) :]])
 
 
-# Postures between two lifted ones, at which a way across rests; the quickest first.
+# Postures between two lifted ones at which a way across rests; the quickest first.
 POSTURES = {
     "straight": lambda cell, a, b: [],
     "drawn back at the start": lambda cell, a, b: [_drawn_back(cell, a)],

@@ -1,1 +1,1 @@
-"""Slow solvers that check the fast ones; loaded only when asked for."""
+"""Slow solvers that check the fast ones; imported only on demand."""

@@ -42,12 +42,12 @@ from planner.resolve.terms import model_of
 from planner.toolpath.task import Cones, NozzleTask
 
 # ----------------------------------------------------------------------------------------------------
-# Symbolic forward kinematics of serial chains, for programs that want exact derivatives of any order.
+# Symbolic forward kinematics of serial chains, for programs that need exact derivatives of any order.
 #
-# Pinocchio's wheel carries no CasADi bindings. A `Chain` is read off a Pinocchio model once, so its constants, with
-# symbols for the joints, are the same mechanism.
+# Pinocchio's wheel has no CasADi bindings. A `Chain` is read off a Pinocchio model once, so its constants, with symbols
+# for the joints, describe the same mechanism.
 
-_TERMS = 14  # of the series of sine and cosine: the rest is below 1e-16 up to an angle of 3 rad
+_TERMS = 14  # terms of the series of sine and cosine: the remainder is below 1e-16 up to an angle of 3 rad
 
 
 def symbolic_pose(chain: Chain, q: ca.SX) -> ca.SX:
@@ -86,7 +86,7 @@ def symbolic_roll(roll: ca.SX) -> ca.SX:
 
 
 def _frames(chain: Chain, q: ca.SX) -> list[ca.SX]:
-    """Poses in the world of the world itself and of every link behind its joint."""
+    """World poses of the world itself and of every link after its joint."""
     frames = [ca.SX.eye(4)]
     for i, (placement, axis) in enumerate(zip(chain.placements, chain.axes, strict=True)):
         T = _times(frames[-1], placement)
@@ -96,7 +96,7 @@ def _frames(chain: Chain, q: ca.SX) -> list[ca.SX]:
 
 
 def _times(T: ca.SX, constant: Array) -> ca.SX:
-    """T times a constant transform, whose exact zeros and ones make no operations."""
+    """T times a constant transform, whose exact zeros and ones generate no operations."""
     return T @ ca.sparsify(ca.SX(constant))
 
 
@@ -111,31 +111,31 @@ def _rotation(axis: Array, angle: ca.SX) -> ca.SX:
 # The program of strategy `nlp`: a bead's price and constraints over all variables, with exact sparse derivatives.
 #
 # The only variables that samples share are the control values c. Everything else belongs to one sample i, in a vector
-# v_i: joints, roll and tilt, shares that the joints' rates have of their limits, slack, the arm's least singular value
-# and its vector.
+# v_i: joints, roll and tilt, the joints' rates as shares of their limits, slack, the arm's least singular value and its
+# singular vector.
 #
 #     minimise   sum_i f(v_i) + ends(c)
 #     subject to g(v_i) = 0 or <= 0       pose, singular vector, shares within what the slack allows, cones
 #                z_i = sum B c,  share_i = sum D q / limits
 #
-# So nonlinear derivatives come in blocks along a diagonal, and what joins samples is linear.
+# So nonlinear derivatives come in blocks along a diagonal, and whatever couples samples is linear.
 
 DAMPING = 1.0  # of control values in the approach, in units of a sample's time: its first steps are too long otherwise
 EQUALITIES = 13  # of a sample: pose, singular vector, its length
-_LEAST_SIGMA = 1e-3  # of a run's samples: the price divides by it
-_ROOM = 1e-3  # slack beyond the least one, at the start: inside the bounds
+_LEAST_SIGMA = 1e-3  # bound on sigma in runs: the price divides by it
+_ROOM = 1e-3  # slack added to the least one at the start, to be inside the bounds
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where a sample's variables stand in its vector: joints, roll and tilt, shares, slack, singular vector, value."""
+    """Where a sample's variables are in its vector: joints, roll and tilt, shares, slack, singular vector, value."""
 
     joints: int
     tilts: int
 
     @property
     def turn(self) -> slice:
-        """Roll, and where the axis may lean the two tilts."""
+        """Roll and, where the axis may lean, the two tilts."""
         return slice(self.joints, self.joints + 1 + self.tilts)
 
     @property
@@ -145,7 +145,7 @@ class Layout:
 
     @property
     def slack(self) -> int:
-        """What the shares may exceed 1 by."""
+        """How far the shares may exceed 1."""
         return self.shares.stop
 
     @property
@@ -252,9 +252,9 @@ def _linear(model: Model, stretch: PathSegment, k: int) -> sparse.csr_matrix:
 
 @dataclass(frozen=True)
 class NonlinearProgram:
-    """The whole program's functions in the form that `nlpsol` takes; rows: of g at a sample.
+    """The whole program's functions in the form that `nlpsol` takes; rows: how many g has at a sample.
 
-    hessian, convex: of the Lagrangian, all of it and the convex part of the price alone
+    hessian, convex: second derivatives of the Lagrangian, all of them and the convex part of the price only
     """
 
     values: ca.Function
@@ -315,13 +315,13 @@ def program_of(cell: Cell, model: Model, stretch: PathSegment, k: int) -> Nonlin
 
 
 def _along_diagonal(block: ca.Function, n: int, *arguments: ca.MX) -> ca.MX:
-    """The sparse matrix that has a function's n values, for n columns of arguments, along its diagonal."""
+    """The sparse matrix with a function's n values, for n columns of arguments, as blocks along its diagonal."""
     whole_of_it = ca.diagcat(*[block.sparsity_out(0)] * n)
     return ca.sparsity_cast(block.map(n)(*arguments), whole_of_it)
 
 
 def start_values(cell: Cell, model: Model, stretch: PathSegment, state: PathState) -> Array:
-    """The variables of a path, slacks a little larger than they must be."""
+    """The variables of a path, with slacks a little larger than necessary."""
     at = layout_of(model, stretch.cones)
     n = len(stretch.tip)
     v = np.zeros((n, at.size))
@@ -357,7 +357,7 @@ def bounds_of(model: Model, stretch: PathSegment, state: PathState) -> tuple[Arr
 
 
 def row_bounds(stretch: PathSegment, rows: int, count: int) -> tuple[Array, Array]:
-    """Least and greatest values of all rows; a rate's slack is of no concern where nothing is deposited."""
+    """Least and greatest values of all rows; rates are unbounded where nothing is deposited."""
     n = len(stretch.tip)
     low, high = np.zeros(count), np.zeros(count)
     own_low, own_high = low[: n * rows].reshape(n, rows), high[: n * rows].reshape(n, rows)
@@ -370,10 +370,10 @@ def row_bounds(stretch: PathSegment, rows: int, count: int) -> tuple[Array, Arra
 # ----------------------------------------------------------------------------------------------------
 # Strategy `nlp`: the refinement of `sqp` as one sparse nonlinear program, solved by IPOPT. A slow reference.
 #
-# The same windows of the same splines, the same bounds, and the same price but for peaks of the joints' speed
-# (`refine.calmed`) and clearance. But nothing is eliminated and nothing linearised for good: besides the control values
-# all joints, rates, slacks and singular values are variables at every sample, and kinematics and differences are
-# constraints with exact first and second derivatives.
+# The same windows of the same splines, the same bounds, and the same price except for peaks of the joints' speed
+# (`refine.calmed`) and clearance. But no variable is eliminated and nothing stays linearised: besides the control
+# values, all joints, rates, slacks and singular values are variables at every sample, and kinematics and differences
+# are constraints with exact first and second derivatives.
 # So where `sqp` stops early, or its elimination of the joints is wrong, this finds a lower price from the same start.
 
 _COMMON = {
@@ -384,8 +384,8 @@ _COMMON = {
     "slack_bound_push": 1e-4,
     "slack_bound_frac": 1e-4,
 }
-# First with the convex part of the second derivatives alone, which needs no regularisation but creeps at the end;
-# then, from a point that is nearly right, with all of them.
+# First with only the convex part of the second derivatives, which needs no regularisation but creeps at the end; then,
+# from a point that is nearly right, with all of them.
 _APPROACH = {
     **_COMMON,
     "max_iter": 100,
@@ -413,7 +413,7 @@ _FINISH = {
 
 @dataclass(frozen=True)
 class NlpSolution:
-    """What IPOPT made of a path: its state, the steps, and what it said at the end."""
+    """IPOPT's result for a path: its state, the number of steps, and the status at the end."""
 
     state: PathState
     steps: int
@@ -422,14 +422,16 @@ class NlpSolution:
 
 @with_each_nozzle
 def nlp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
-    """The ladder's paths, refined by IPOPT in the windows of `sqp`, with its default weights, to judge it by; minutes for a
-    window of some thousand samples. No path costs more than it did.
+    """The ladder's paths, refined by IPOPT in the windows of `sqp` with its default weights, as a reference for it.
 
-    Raises Refusal as `ladder` does, and for joints that slide.
+    Takes minutes for a window of a thousand samples or so. No path costs more than before. Raises Refusal as `ladder`
+    does, and for joints that slide.
     """
     if cell.limits.sliding:
         name = cell.joint_names[cell.limits.sliding[0]]
-        raise Refusal(f"strategy nlp knows no joints that slide, such as {name}; strategy sqp solves the same problem")
+        raise Refusal(
+            f"strategy nlp does not support sliding joints, such as {name}; strategy sqp solves the same problem"
+        )
     model = model_of(cell)
     paths = ladder(cell, tasks, settings)
     given = given_prices(model, paths, settings)
@@ -443,7 +445,7 @@ def by_ipopt(cell: Cell) -> Improve:
 
 
 def solve_nlp(cell: Cell, model: Model, stretch: PathSegment, state: PathState) -> NlpSolution:
-    """Refine a state; what comes back never costs more than what was given, and stays on its branch."""
+    """Refine a state; the result never costs more than the given one, and stays on its branch."""
     program = program_of(cell, model, stretch, len(state.c))
     lbx, ubx = bounds_of(model, stretch, state)
     lbg, ubg = row_bounds(stretch, program.rows, int(program.values.size1_out("g")))

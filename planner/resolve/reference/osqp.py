@@ -1,4 +1,4 @@
-"""OSQP in the place of our own solver: another algorithm (ADMM), slower here, to check the refinement against."""
+"""OSQP in place of our own solver: another algorithm (ADMM), slower here, to check the refinement against."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planner.resolve.quadratic import QuadraticProgram, Solution, Status
 
 _STEPS = 20_000
 _TOLERANCE = 1e-6  # absolute and relative, of OSQP's residuals
-_STATUS = {  # all others: it says that the program has no solution, which none of ours lacks
+_STATUS = {  # all others: it claims that there is no solution, but our programs always have one
     int(osqp.SolverStatus.OSQP_SOLVED): Status.SOLVED,
     int(osqp.SolverStatus.OSQP_SOLVED_INACCURATE): Status.STOPPED,
     int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED): Status.STOPPED,
@@ -19,7 +19,7 @@ _STATUS = {  # all others: it says that the program has no solution, which none 
 
 
 def standard_form(qp: QuadraticProgram) -> tuple[sparse.csc_matrix, Array, sparse.csc_matrix, Array, Array]:
-    """P, c, A, low, high of: least 1/2 y^T P y + c^T y with low <= A y <= high, y = (x, slacks); P upper triangle."""
+    """P, c, A, low, high of: minimise 1/2 y^T P y + c^T y, low <= A y <= high, y = (x, slacks); P: upper triangle."""
     (n, width), rows, groups = qp.H.shape, len(qp.b), len(qp.price)
     i, d = np.meshgrid(np.arange(n), np.arange(width), indexing="ij")
     inside = i >= d
@@ -38,7 +38,7 @@ def standard_form(qp: QuadraticProgram) -> tuple[sparse.csc_matrix, Array, spars
 
 
 def solve_with_osqp(qp: QuadraticProgram) -> Solution:
-    """As `solve_qp`; gap and residual are those that OSQP tells, of its own iterate."""
+    """As `solve_qp`; gap and residual are those that OSQP reports for its own iterate."""
     P, c, A, low, high = standard_form(qp)
     solver = osqp.OSQP()
     solver.setup(

@@ -14,13 +14,13 @@ from planner.toolpath.coverage.tours import SampledSurface
 
 TURN = np.radians(30.0)  # a bend of more than that within half a spacing is a turn
 _TOUCH = 1e-6  # m: lines that come nearer than this meet
-_PIECES = 4.0  # a spacing, of a chord laid onto the face
-_NEAREST = 4  # samples whose tangent planes say where the face is
-_SHARP = np.radians(12.0)  # at one point of a line: a corner, which is rounded within the tolerance
+_PIECES = 4.0  # per spacing, of a chord laid onto the face
+_NEAREST = 4  # samples whose tangent planes define the face
+_SHARP = np.radians(12.0)  # at one point of a line: more is a corner, which is rounded within the tolerance
 _ACCELERATION = 5.0  # m/s2, of the tool: an IRB 140's 15 rad/s2 at a third of a metre
 _JERK = 250.0  # m/s3, fifty times that
 _LIFT = 1.0  # s, to stop, lift and lower between strokes
-_TRAVEL = 0.2  # m/s, in between
+_TRAVEL = 0.2  # m/s, between strokes
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ def visits_each_once(order: Ints, count: int) -> bool:
 def laid(surface: SampledSurface, order: Ints) -> SurfaceLine:
     """The chords between successive samples, laid onto the face.
 
-    A point of a chord moves along the normal onto the tangent planes of the samples nearest to it, so that where it
-    comes to lie depends on where it was alone, not on the chord: what crosses on the face crosses here. A chord through
-    the air from one fold of a sheet to another lies nowhere in particular.
+    A point of a chord moves along the normal onto the tangent planes of the samples nearest to it. Its new place
+    depends only on the old one, not on the chord: lines that cross on the face also cross here. A chord through the air
+    from one fold of a sheet to another lies nowhere in particular.
     """
     points, spacing = surface.points[order], max(surface.spacing)
     step = np.diff(points, axis=0)
@@ -68,8 +68,8 @@ def laid(surface: SampledSurface, order: Ints) -> SurfaceLine:
 def crossings(lines: Sequence[SurfaceLine]) -> Array:
     """Places (k, 3) [m] where lines on a face cross or touch one another or themselves, seen along the face's normal.
 
-    All pairs of pieces near each other are looked at in the plane between them, but for pieces that follow each other,
-    which meet unless the line turns back on itself; pieces on sheets with opposite normals do not meet.
+    All pairs of pieces near each other are checked in the plane between them. Successive pieces, which always meet,
+    count only where the line turns back on itself; pieces on sheets with opposite normals do not meet.
     """
     opened = [line.opened() for line in lines]
     a = np.concatenate([points[:-1] for points, _ in opened])
@@ -95,7 +95,7 @@ def crossings(lines: Sequence[SurfaceLine]) -> Array:
 
 
 def _meet(a: Array, b: Array, c: Array, d: Array, normal: Array) -> Array:
-    """Whether segments ab and cd (k, 3) meet in the planes across `normal` (k, 3)."""
+    """Whether segments ab and cd (k, 3) meet in the planes perpendicular to `normal` (k, 3)."""
     z = normal / np.linalg.norm(normal, axis=1)[:, None]
     x = np.cross(z, np.where(np.abs(z[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     x /= np.linalg.norm(x, axis=1)[:, None]
@@ -121,12 +121,12 @@ def _meet(a: Array, b: Array, c: Array, d: Array, normal: Array) -> Array:
 
 
 def length(lines: Sequence[SurfaceLine]) -> float:
-    """Length of the lines, without what is travelled between them [m]."""
+    """Length of the lines, without travel between them [m]."""
     return sum(float(np.linalg.norm(np.diff(line.opened()[0], axis=0), axis=1).sum()) for line in lines)
 
 
 def turns(lines: Sequence[SurfaceLine], spacing: float) -> tuple[int, float]:
-    """How often the lines turn, and by how much in all [rad], within the face: its own curvature is no turn."""
+    """How often the lines turn, and by how much in total [rad], within the face: its own curvature is no turn."""
     count, total = 0, 0.0
     for line in lines:
         bend, step = _bends(line)
@@ -138,7 +138,7 @@ def turns(lines: Sequence[SurfaceLine], spacing: float) -> tuple[int, float]:
         low, high = np.searchsorted(s, s - 0.25 * spacing, "left"), np.searchsorted(s, s + 0.25 * spacing, "right")
         turning = np.abs(summed[high] - summed[low]) > TURN
         starts = turning & ~np.concatenate([[False], turning[:-1]])
-        # the two corners of a narrow turn are two, though they follow each other
+        # two adjacent corners that turn opposite ways count as two
         same = np.sign(summed[high] - summed[low])
         starts |= turning & (same != np.concatenate([[0.0], same[:-1]]))
         count += int(starts.sum())
@@ -149,7 +149,7 @@ def seconds(lines: Sequence[SurfaceLine], speed: float, tolerance: float) -> flo
     """Estimated time [s] to follow the lines at `speed` [m/s], for comparing paths.
 
     Corners are rounded within `tolerance` [m] and slow the tool down as its acceleration and jerk require; lifting
-    and travelling between lines is added. No arm is considered.
+    and travel between lines are added. No arm is considered.
     """
     total = length(lines) / speed
     for before, after in zip(lines[:-1], lines[1:], strict=True):
@@ -183,7 +183,7 @@ def farthest(lines: Sequence[SurfaceLine], points: Array) -> float:
 
 
 def distances(opened: Sequence[Array], points: Array) -> Array:
-    """Distances of points (n, 3) of a face from the nearest of open polylines (n,) [m]."""
+    """Distances (n,) of points (n, 3) of a face from the nearest of the open polylines [m]."""
     a, b = np.concatenate([p[:-1] for p in opened]), np.concatenate([p[1:] for p in opened])
     ends = np.concatenate(opened)
     count = [len(p) for p in opened]
@@ -203,7 +203,7 @@ def distances(opened: Sequence[Array], points: Array) -> Array:
 
 
 def _bends(line: SurfaceLine) -> tuple[Array, Array]:
-    """Signed turn [rad] at each inner point of a line, within the face (n - 2,), and the steps between points (n - 1,)."""
+    """Signed turn [rad] within the face at each inner point of a line (n - 2,), and steps between points (n - 1,)."""
     points, normals = line.opened()
     step = np.diff(points, axis=0)
     size = np.linalg.norm(step, axis=1)

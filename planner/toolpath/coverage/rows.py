@@ -1,8 +1,8 @@
 """Rows that cover faces: lines of equal distance from an edge or a middle line, joined into strokes.
 
 Rows never cross, because they are level lines of one function. They are joined along the edge of the material
-(`stitch.py`). Of several sources of distance, the one whose strokes take the least time is chosen. Strokes are brought
-onto the true faces point by point.
+(`stitch.py`). Of several sources of distance, the one whose strokes take the least time is chosen. Strokes are
+projected onto the true faces point by point.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from planner.toolpath.coverage.stitch import (
 )
 from planner.toolpath.ordering import nearest_first
 
-_TRIANGLES = 12  # looked at for each point, nearest middles first
-_NEWTON = 6  # steps; from the net three do
-_DIFFERENCE = 1e-6  # of a triangle's size in (u, v), for derivatives
+_TRIANGLES = 12  # checked for each point, those with the nearest centroids
+_NEWTON = 6  # steps; three suffice from the net
+_DIFFERENCE = 1e-6  # × the face's extent in (u, v): step of finite differences
 
 REACH = 0.55  # spacings: no point of a face is farther from the strokes
 _MESH = 0.25  # spacings between points of the net
 _INSET = 0.04  # spacings between the edge and where rows end and joints run
-_KERNEL = 0.3  # spacings, half width of what turns a row's end: about as wide as REACH allows
+_KERNEL = 0.3  # spacings: half width of the kernel that rounds turns at rows' ends; about as wide as REACH allows
 _STEP = 0.1  # spacings between points of a stroke
 _FINE = 0.025  # spacings between points that are averaged
 _SHORTEST = 0.3  # spacings: a shorter row is a dot
-_TRIES = 4  # with rows added one by one for what is left
-_WIDER = 1.02  # of the spacing: rows may be as much farther apart where that saves one
-_CLOSER = 0.97  # of the spacing, where strokes leave points out of reach
-_CLOSEST = 5  # times closer, at most
-_AIM = 0.543  # spacings: REACH, less what may be between the points that are looked at
+_TRIES = 4  # with rows added, one place at a time, for what is left uncovered
+_WIDER = 1.02  # × the spacing: rows may be this far apart if that saves one
+_CLOSER = 0.97  # × the spacing, for each new attempt if strokes leave points out of reach
+_CLOSEST = 5  # attempts with closer rows, at most
+_AIM = 0.543  # spacings: REACH, less a margin for places between the points checked
 
 
 def onto_faces(sheet: FaceMesh, line: Array, closed: bool) -> Stroke:
-    """The points of the faces that are nearest to those of a line (n, 3)."""
+    """Project a line (n, 3) onto the nearest points of the faces."""
     patch, uv = _in_net(sheet, line)
     points, normals = np.empty_like(line), np.empty_like(line)
     for k, face in enumerate(sheet.patches):
@@ -88,7 +88,7 @@ def _shares(p: Array, e: Array, f: Array) -> Array:
 
 
 def _nearest(face: Patch, target: Array, uv: Array, difference: Array) -> Array:
-    """(u, v) of the points of a face nearest to targets, from near by: Gauss and Newton's method."""
+    """(u, v) of the points of a face nearest to targets, from a start nearby, by the Gauss-Newton method."""
     for _ in range(_NEWTON):
         off = target - face.points(uv)
         du, dv = (
@@ -98,7 +98,7 @@ def _nearest(face: Patch, target: Array, uv: Array, difference: Array) -> Array:
         uu, uv_, vv = (np.einsum("ij,ij->i", x, y) for x, y in ((du, du), (du, dv), (dv, dv)))
         pu, pv = np.einsum("ij,ij->i", off, du), np.einsum("ij,ij->i", off, dv)
         det = uu * vv - uv_ * uv_
-        # at a pole one direction is nothing: stay
+        # at a pole one derivative vanishes: stay
         safe = det > 1e-12 * (uu * vv).max()
         det = np.where(safe, det, 1.0)
         uv = uv + np.where(safe, [(pu * vv - pv * uv_) / det, (pv * uu - pu * uv_) / det], 0.0).T
@@ -110,7 +110,7 @@ class TooSmallError(ValueError):
 
 
 class NotCoveredError(ValueError):
-    """All strokes tried cross or leave points of the faces farther away than REACH; `farthest`: of the best [spacings]."""
+    """All strokes tried cross or leave points of the faces out of REACH; `farthest`: of the best [spacings]."""
 
     def __init__(self, farthest: float) -> None:
         self.farthest = farthest
@@ -119,11 +119,11 @@ class NotCoveredError(ValueError):
 
 @dataclass(frozen=True)
 class _Net:
-    """The faces' net, and what is looked up on it repeatedly.
+    """The faces' net, and data looked up on it repeatedly.
 
     normals, tree  unit normals (n, 3) at the net's points, and a tree of these points
     solid          indices of the points of the material
-    looked_at      (k, 3) points all over the material
+    looked_at      (k, 3) points all over the material, where coverage is checked
     """
 
     sheet: FaceMesh
@@ -136,10 +136,10 @@ class _Net:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Strokes before they are brought onto the faces.
+    """Strokes before they are projected onto the faces.
 
-    Lines (n, 3), each with whether it is closed; their time, about [s]; and how far the farthest point of the material
-    is from them [spacings].
+    Lines (n, 3), each with whether it is closed; their approximate time [s]; and how far the farthest point of the
+    material is from them [spacings].
     """
 
     lines: tuple[tuple[Array, bool], ...]
@@ -150,7 +150,7 @@ class _Candidate:
 def cover(patches: Sequence[Patch], spacing: float, speed: float) -> list[Stroke]:
     """Strokes that cover faces, sewn together where they meet, for printing at `speed` [m/s].
 
-    Rows are `spacing` [m] apart or up to 2 % less. No point of the faces is farther from the strokes than REACH; they
+    Rows are at most 1.02 `spacing` [m] apart. No point of the faces is farther from the strokes than REACH; they
     neither cross nor touch. Raises TooSmallError or NotCoveredError.
     """
     sheet = sheet_of(patches, _MESH * spacing)
@@ -158,7 +158,7 @@ def cover(patches: Sequence[Patch], spacing: float, speed: float) -> list[Stroke
     rim = Rim.of(sheet)
     looked_at = sheet.looked_at(rim.edges.ravel())
     net = _Net(sheet, rim, sheet.normals(), cKDTree(sheet.points), solid, looked_at)
-    # the quickest first; one that leaves points out of reach comes back with its rows closer together
+    # the quickest first; one that leaves points out of reach is queued again with its rows closer together
     queue: list[tuple[float, int, int, _Candidate]] = []
     fields = fields_of(sheet, rim, spacing)
     for k, field in enumerate(fields):
@@ -188,14 +188,14 @@ def _tried(
     spacing: float,
     speed: float,
 ) -> None:
-    """Add the strokes of the k-th field, its rows so many times closer, unless it has none."""
+    """Queue the strokes of the k-th field, with its rows moved closer `closer` times, unless it has none."""
     found = _candidate(net, field, spacing, spacing * _CLOSER**closer, speed)
     if found is not None:
         heapq.heappush(queue, (found.time, k, closer, found))
 
 
 def _candidate(net: _Net, field: Array, spacing: float, apart: float, speed: float) -> _Candidate | None:
-    """Rows of one field about `apart` [m] apart, joined and smoothed; None where there are none."""
+    """Rows of one field about `apart` [m] apart, joined and smoothed; None if there are none."""
     low, high = float(field[net.solid].min()), float(field[net.solid].max())
     count = max(int(np.ceil((high - low) / (_WIDER * apart))), 1)
     heights: Array = np.linspace(low, high, 2 * count + 1)[1::2]
@@ -223,7 +223,7 @@ def _candidate(net: _Net, field: Array, spacing: float, apart: float, speed: flo
 
 
 def _strokes(sheet: FaceMesh, rim: Rim, rows: Sequence[Row], spacing: float) -> list[tuple[Array, bool]]:
-    """Rows joined into as few lines as can be, smoothed, in the order in which they are printed."""
+    """Rows joined into as few lines as possible, smoothed, in print order."""
     joints = chosen_joints(possible_joints(rows, rim.around, spacing), spacing)
     edge = InsetEdge.of(sheet, rim, _INSET * spacing)
     out = []
@@ -236,13 +236,13 @@ def _strokes(sheet: FaceMesh, rim: Rim, rows: Sequence[Row], spacing: float) -> 
 
 
 def _in_turn(lines: Sequence[tuple[Array, bool]]) -> list[tuple[Array, bool]]:
-    """Lines one after the other, the nearest end first; open ones may be turned round."""
+    """Lines in print order, always with the nearest end next; open ones may be reversed."""
     turned = ((*lines[k], back) for k, back in nearest_first(lines))
     return [(line[::-1].copy() if back else line, closed) for line, closed, back in turned]
 
 
 def _shortened(row: Row, spacing: float) -> Row | None:
-    """The row without what is too near the edge; None where hardly anything is left."""
+    """The row without the parts too near the edge; None if hardly anything is left."""
     if row.ends is None:
         return row if row.length > _SHORTEST * spacing else None
     s = arc_lengths(row.points)
@@ -255,9 +255,9 @@ def _shortened(row: Row, spacing: float) -> Row | None:
 
 
 def _cap(net: _Net, field: Array, heights: Array, place: Array, spacing: float) -> list[Row]:
-    """A further row half-way between the last level and a place (3,) that it leaves out of reach.
+    """Further rows halfway between the last level and a place (3,) that it leaves out of reach.
 
-    Such places are where the material ends between two levels.
+    Such places occur where the material ends between two levels.
     """
     far = float(field[net.tree.query(place)[1]])
     base = int(np.clip(np.searchsorted(heights, far) - 1, 0, len(heights) - 1))

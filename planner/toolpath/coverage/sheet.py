@@ -1,7 +1,7 @@
 """Faces sewn into one net of triangles, distances along it, and lines of equal distance.
 
 Distances are found by fast marching (Kimmel and Sethian 1998). Holes are filled so that rows run straight on behind
-them; the triangles in a hole are no material.
+them; triangles in a hole do not count as material.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from planner.base.arrays import Array, Ints, true_runs
 from planner.base.compiled import inner_njit, njit
 from planner.base.geometry import arc_lengths
 
-_SEWN = 2e-5  # m: points of two faces' edges that are nearer than this are one
-_CLEAR = 0.6  # mesh sizes: nearer to the edge, no point is put
-_LOOKED = 5  # parts of a side of a triangle at the rim, where coverage is looked at
+_SEWN = 2e-5  # m: points on two faces' edges that are nearer than this are merged
+_CLEAR = 0.6  # mesh sizes: no point is placed nearer to the edge
+_LOOKED = 5  # pieces per side of a triangle at the rim, for checking coverage
 _LOOKS = 33  # lines of u and of v along which a face is measured
 
-_CORNER = np.radians(30.0)  # of an edge, within a spacing: there one side ends and the next begins
-_SIDES = 4  # the longest sides are tried as sources
-_FLAT = 1e-6  # height of a triangle, as a share of its sides, whose square is well above rounding
-_DIRECTIONS = 6  # and so many lines through the middle
+_CORNER = np.radians(30.0)  # turn of an edge within a spacing: there one side ends and the next begins
+_SIDES = 4  # so many of the longest sides are tried as sources
+_FLAT = 1e-6  # least height of a triangle, as a share of its sides: its square is well above rounding
+_DIRECTIONS = 6  # so many lines through the middle are tried as sources, too
 
 
 class Patch(Protocol):
     """One face: a surface over (u, v), and the closed curves that trim it.
 
-    loops: closed polylines (m, 2) in (u, v), the first point not repeated; the outer one first, then holes. Their points
-    are at most a quarter of the spacing of rows apart on the surface. Where two faces meet (or a face meets itself, as
-    a cylinder does), both list the same points in space: that is how a seam is known. points and normals must answer
-    in holes too, and a little beyond the outer loop.
+    loops: closed polylines (m, 2) in (u, v), the first point not repeated; the outer one first, then holes. Points are
+    at most a quarter of the spacing of rows apart on the surface. Where two faces meet (or a face meets itself, as
+    a cylinder does), both list the same points in space, by which seams are recognised. points and normals must be
+    defined in holes too, and a little beyond the outer loop.
     """
 
     @property
@@ -59,7 +59,7 @@ class Stroke:
 
     points, normals (n, 3)  on the true surface [m], normals of unit length
     patch (n,)              number of the face under each point
-    parameters (n, 2)       of the point on that face
+    parameters (n, 2)       (u, v) of the point on that face
     closed                  the last point is joined to the first, which is not repeated
     """
 
@@ -71,10 +71,10 @@ class Stroke:
 
 
 def march(points: Array, triangles: Ints, start: Array) -> Array:
-    """Distances (n,) [m] of points (n, 3): start (n,) where it is finite, from there on along triangles (m, 3).
+    """Distances (n,) [m] of points (n, 3): `start` (n,) where that is finite, and from there along triangles (m, 3).
 
     Exact in the plane for a straight source; elsewhere of first order in the triangles' size. Infinite where no
-    triangle leads.
+    triangles lead.
     """
     corner = triangles.ravel()
     order = np.argsort(corner, kind="stable")
@@ -123,7 +123,7 @@ def _march(points: Array, triangles: Ints, around: Ints, first: Ints, start: Arr
 def _through(a: Array, b: Array, at_a: float, at_b: float) -> float:
     """Distance at the third corner of a triangle for a straight front that passed the other two.
 
-    a, b (3,) lead from the third corner to the other two, at_a and at_b are their distances. Infinite where the front
+    a, b (3,) lead from the third corner to the other two, at_a and at_b are their distances. Infinite if the front
     does not come through the triangle.
     """
     aa, ab, bb = np.sum(a * a), np.sum(a * b), np.sum(b * b)
@@ -153,7 +153,7 @@ class FaceMesh:
     patch (m,)          face of each triangle
     corners (m, 3, 2)   (u, v) of each triangle's corners on its face
     material (m,)       false in holes
-    size                about the distance of points [m]
+    size                approximate spacing of points [m]
     """
 
     patches: tuple[Patch, ...]
@@ -169,7 +169,7 @@ class FaceMesh:
         return np.stack([self.triangles, np.roll(self.triangles, -1, axis=1)], axis=2).reshape(-1, 2)
 
     def normals(self) -> Array:
-        """Unit normals at the points (n, 3), outward as the faces say."""
+        """Unit normals at the points (n, 3), outward as those of the faces."""
         out = np.zeros_like(self.points)
         for k, face in enumerate(self.patches):
             on = self.patch == k
@@ -178,10 +178,10 @@ class FaceMesh:
         return out / np.maximum(np.linalg.norm(out, axis=1), np.finfo(float).tiny)[:, None]
 
     def looked_at(self, rim: Ints) -> Array:
-        """Points (k, 3) all over the material, to be checked for cover.
+        """Points (k, 3) all over the material, at which coverage is checked.
 
-        These are the net's points and the middles of its triangles, and more in triangles that touch one of the points
-        `rim`, where rows end.
+        These are the net's points and the centroids of its triangles, and more in triangles that touch one of the
+        points `rim`, where rows end.
         """
         net = self.triangles[self.material]
         corners = self.points[net]
@@ -194,7 +194,7 @@ class FaceMesh:
 
 
 def sheet_of(patches: Sequence[Patch], size: float) -> FaceMesh:
-    """Triangulate faces with points about `size` [m] apart, and those of their loops as they are."""
+    """Triangulate faces with points about `size` [m] apart, keeping the points of their loops."""
     points, triangles, owner, corners, material = [], [], [], [], []
     count = 0
     for k, patch in enumerate(patches):
@@ -209,7 +209,7 @@ def sheet_of(patches: Sequence[Patch], size: float) -> FaceMesh:
     name = _sew(joined)
     used, compact = np.unique(name, return_inverse=True)
     net = compact[np.concatenate(triangles)]
-    # a triangle of a pole, where a whole edge of the face is one point, may have two corners there
+    # a triangle at a pole, where a whole edge of the face is one point, may have two corners there
     kept = (net[:, 0] != net[:, 1]) & (net[:, 1] != net[:, 2]) & (net[:, 2] != net[:, 0])
     return FaceMesh(
         tuple(patches),
@@ -223,7 +223,7 @@ def sheet_of(patches: Sequence[Patch], size: float) -> FaceMesh:
 
 
 def inside(loop: Array, uv: Array) -> NDArray[np.bool_]:
-    """Which points (n, 2) a closed polyline (m, 2) goes round an odd number of times."""
+    """Which points (n, 2) are inside a closed polyline (m, 2), by the even-odd rule."""
     a, b = loop, np.roll(loop, -1, axis=0)
     odd = np.zeros(len(uv), dtype=np.bool_)
     for (ax, ay), (bx, by) in zip(a, b, strict=True):
@@ -242,7 +242,7 @@ def _triangulate(patch: Patch, size: float) -> tuple[Array, Ints, NDArray[np.boo
     knots = [np.linspace(low[i], high[i], _LOOKS) for i in range(2)]
     grid = np.stack(np.meshgrid(*knots, indexing="ij"), axis=-1)
     places = patch.points(grid.reshape(-1, 2)).reshape(_LOOKS, _LOOKS, 3)
-    # mean length along u, and along v: coordinates in which the face is about its own size
+    # mean lengths along u and along v: coordinates in which the face has about its true size
     along = [
         np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=i), axis=2).mean(axis=1 - i))])
         for i in range(2)
@@ -250,7 +250,7 @@ def _triangulate(patch: Patch, size: float) -> tuple[Array, Ints, NDArray[np.boo
     columns = max(int(np.ceil(along[0][-1] / size)), 2)
     rows = max(int(np.ceil(along[1][-1] / (size * np.sqrt(0.75)))), 2)
     s, t = np.meshgrid(np.linspace(0.0, 1.0, columns + 1), np.linspace(0.0, 1.0, rows + 1), indexing="ij")
-    s = s + 0.5 / columns * (np.arange(rows + 1) % 2)  # every second row half a step further: equal triangles
+    s = s + 0.5 / columns * (np.arange(rows + 1) % 2)  # every second row is half a step further: equilateral triangles
     st = np.stack([s.ravel() * along[0][-1], t.ravel() * along[1][-1]], axis=1)
     st = st[st[:, 0] < along[0][-1]]
     uv = np.stack([np.interp(st[:, i], along[i], knots[i]) for i in range(2)], axis=1)
@@ -268,7 +268,7 @@ def _triangulate(patch: Patch, size: float) -> tuple[Array, Ints, NDArray[np.boo
 
 
 def _sew(points: Array) -> Ints:
-    """For each point the lowest index of those at the same place (n,)."""
+    """For each point, the lowest index (n,) of those at the same place."""
     name = np.arange(len(points), dtype=np.int64)
     pairs = cKDTree(points).query_pairs(_SEWN, output_type="ndarray")
     for _ in range(len(points)):
@@ -301,7 +301,7 @@ class Rim:
 
     @staticmethod
     def of(sheet: FaceMesh) -> Rim:
-        """Chain the edges that have material on one side; the triangles' own sense is kept where they agree."""
+        """Chain the edges that have material on one side; the triangles' orientation is kept where it is consistent."""
         edges = sheet.edges().reshape(-1, 3, 2)[sheet.material].reshape(-1, 2)
         _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
         rim = edges[np.sort(first[count == 1])]
@@ -356,7 +356,7 @@ class Row:
 
     @property
     def length(self) -> float:
-        """[m], closed rows without the last side."""
+        """Length [m], without the closing side of closed rows."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
 
@@ -418,7 +418,7 @@ def _chains(links: Ints, count: int) -> list[tuple[list[int], bool]]:
 
 
 def fields_of(sheet: FaceMesh, rim: Rim, spacing: float) -> list[Array]:
-    """Distances of the net's points from each source (n,) [m], with a sign where the source has two sides."""
+    """Distances of the net's points from each source (n,) [m], signed if the source has two sides."""
     out = []
     sides = [side for loop in rim.vertices for side in _sides(sheet, loop, spacing)]
     sides.sort(key=lambda side: -float(np.linalg.norm(np.diff(sheet.points[side], axis=0), axis=1).sum()))
@@ -439,11 +439,11 @@ def fields_of(sheet: FaceMesh, rim: Rim, spacing: float) -> list[Array]:
 
 
 def _sides(sheet: FaceMesh, loop: Ints, spacing: float) -> list[Ints]:
-    """Pieces of a rim between its corners; none where it has fewer than two."""
+    """Pieces of a rim between its corners; none if it has fewer than two."""
     points = sheet.points[loop]
     s = arc_lengths(np.vstack([points, points[:1]]))
     n = len(loop)
-    if s[-1] == 0.0:  # where faces are sewn that share a point alone
+    if s[-1] == 0.0:  # where sewn faces share a single point
         return []
     ahead = np.array([_at(points, s, s[i] + 0.5 * spacing) for i in range(n)])
     behind = np.array([_at(points, s, s[i] - 0.5 * spacing) for i in range(n)])
@@ -454,7 +454,7 @@ def _sides(sheet: FaceMesh, loop: Ints, spacing: float) -> list[Ints]:
     bent = cosine < np.cos(_CORNER)
     if not bent.any() or bent.all():
         return []
-    # of the points beside a corner, the one where the edge turns most
+    # of the points around a corner, the one where the edge turns most
     shift = int(np.flatnonzero(~bent)[0])
     bent, cosine, order = np.roll(bent, -shift), np.roll(cosine, -shift), np.roll(loop, -shift)
     corner = [a + int(np.argmin(cosine[a:b])) for a, b in true_runs(bent)]
@@ -465,17 +465,17 @@ def _sides(sheet: FaceMesh, loop: Ints, spacing: float) -> list[Ints]:
 
 
 def _at(points: Array, s: Array, where: float) -> Array:
-    """The point of a closed polyline at arc `where` [m], any turn."""
+    """The point of a closed polyline at arc length `where` [m], on any lap."""
     closed = np.vstack([points, points[:1]])
     return np.array([np.interp(where % s[-1], s, closed[:, i]) for i in range(3)])
 
 
 def _from_section(sheet: FaceMesh, height: Array) -> Array:
-    """Signed distance along the net from the line where `height` (n,) is nought."""
+    """Signed distance along the net from the line where `height` (n,) is zero."""
     corners, values = sheet.points[sheet.triangles], height[sheet.triangles]
     e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     longest = np.maximum((e * e).sum(axis=1), (f * f).sum(axis=1))
-    there = np.linalg.norm(np.cross(e, f), axis=1) > _FLAT * longest  # three points of a straight rim have no slope
+    there = np.linalg.norm(np.cross(e, f), axis=1) > _FLAT * longest  # triangles of collinear rim points have no slope
     cut = there & (values > 0.0).any(axis=1) & (values <= 0.0).any(axis=1)
     e, f = e[cut], f[cut]
     de, df = values[cut, 1] - values[cut, 0], values[cut, 2] - values[cut, 0]

@@ -26,19 +26,19 @@ from planner.toolpath.coverage.sheet import FaceMesh, Rim, Row
 _POWER = 4  # of the kernel (1 - x^2)^4: four times differentiable
 
 End = tuple[int, int]  # row, and 0 for its first point or 1 for its last
-_LONGEST = 4.0  # spacings along the edge: where it is nearly parallel to the rows, a joint would lie on them
-_NEXT = 1.01  # levels apart, of rows that are next to each other
+_LONGEST = 4.0  # spacings along the edge: a longer joint would lie on the rows, which are nearly parallel to the edge
+_NEXT = 1.01  # levels: rows less far apart are next to each other
 
 _WITHIN = 0.51  # spacings: how near the line comes to all points of the edge
-_STEEPEST = 4.0  # 1 / sine of the angle between row and edge that is still made up for
-_SHARE = 0.45  # of the way to the next row's end, at most
-_BENT, _BENT_MORE = 0.1, 0.4  # spacings of the row that bend, and so many more for each by which the edge leans
-_KEPT = 0.3  # of a row is not bent
+_STEEPEST = 4.0  # greatest 1 / sine of the angle between row and edge that is compensated for
+_SHARE = 0.45  # × the distance to the next row's end: greatest overshoot
+_BENT, _BENT_MORE = 0.1, 0.4  # spacings of the row that bend, and how many more for each by which the edge leans
+_KEPT = 0.3  # share of a row that is not bent
 
 
 @dataclass(frozen=True)
 class InsetEdge:
-    """For each loop of the rim: arcs (k,) of its points [m], and these points moved onto the material (k, 3)."""
+    """For each loop of the rim: arc lengths (k,) of its points [m], and these points moved onto the material (k, 3)."""
 
     arcs: tuple[Array, ...]
     points: tuple[Array, ...]
@@ -46,7 +46,7 @@ class InsetEdge:
 
     @staticmethod
     def of(sheet: FaceMesh, rim: Rim, inset: float) -> InsetEdge:
-        """inset: by how much they are moved [m]."""
+        """The edge of a net, moved onto the material by `inset` [m]."""
         inward = _inward(sheet, rim)
         arcs, points = [], []
         for loop in range(len(rim.vertices)):
@@ -63,7 +63,7 @@ class InsetEdge:
         return points[(arcs > start) & (arcs < stop)]
 
     def at(self, loop: int, arc: float) -> Array:
-        """The point (3,) at an arc of a loop [m], at most once round beyond its ends."""
+        """The point (3,) at an arc of a loop [m], at most one lap beyond its ends."""
         arcs, points = self._thrice(loop)
         return np.array([np.interp(arc, arcs, points[:, i]) for i in range(3)])
 
@@ -99,7 +99,7 @@ def evenly(line: Array, step: float, closed: bool) -> Array:
 
 
 def smooth(line: Array, half_width: float, step: float, closed: bool) -> Array:
-    """A polyline (n, 3) averaged over `half_width` to both sides, points about `step` apart; open ends stay."""
+    """A polyline (n, 3) averaged over `half_width` to both sides, points about `step` apart; open ends stay put."""
     even = evenly(line, step, closed)
     reach = min(max(round(half_width / step), 1), len(even) - 1)
     x = np.arange(-reach, reach + 1) / (reach + 1.0)
@@ -107,7 +107,7 @@ def smooth(line: Array, half_width: float, step: float, closed: bool) -> Array:
     kernel /= kernel.sum()
     if closed:
         return convolve1d(even, kernel, axis=0, mode="wrap")
-    # the line goes on beyond its ends as its own mirror image in the end point
+    # beyond its ends, the line continues as its own point reflection in the end point
     before = 2.0 * even[0] - even[reach:0:-1]
     after = 2.0 * even[-1] - even[-2 : -2 - reach : -1]
     return convolve1d(np.vstack([before, even, after]), kernel, axis=0)[reach : reach + len(even)]
@@ -115,7 +115,10 @@ def smooth(line: Array, half_width: float, step: float, closed: bool) -> Array:
 
 @dataclass(frozen=True)
 class Joint:
-    """From one end along the loop's edge, in its sense, from arc `start` to `stop` [m] (past its end: all round)."""
+    """A stretch of a loop of the edge from one end to another, in the loop's sense.
+
+    It runs from arc `start` to `stop` [m], which may be on the next lap.
+    """
 
     first: End
     second: End
@@ -130,7 +133,7 @@ class Joint:
 
 
 def possible_joints(rows: Sequence[Row], around: Array, spacing: float) -> list[Joint]:
-    """Joints between ends that follow each other along a loop of the rim (lengths `around`), rows next to each other."""
+    """Joints between successive ends of adjacent rows along each loop of the rim (lengths `around`)."""
     ends: dict[int, list[tuple[float, End]]] = {}
     for k, row in enumerate(rows):
         if row.ends is not None:
@@ -149,7 +152,7 @@ def possible_joints(rows: Sequence[Row], around: Array, spacing: float) -> list[
 
 
 def chosen_joints(joints: Sequence[Joint], spacing: float) -> list[Joint]:
-    """As many of them as can be without an end used twice or a ring; of equally many, the shortest."""
+    """As many joints as possible without using an end twice or closing a ring; of equally many, the shortest."""
     if not joints:
         return []
     rows: list[tuple[dict[int, float], float]] = []
@@ -158,7 +161,7 @@ def chosen_joints(joints: Sequence[Joint], spacing: float) -> list[Joint]:
         for end in (joint.first, joint.second):
             used.setdefault(end, {})[k] = 1.0
     rows += [(row, 1.0) for row in used.values() if len(row) > 1]
-    # one joint more is worth more than all their lengths
+    # one more joint is worth more than all their lengths
     total = sum(joint.length for joint in joints) + spacing
     price = np.array([joint.length / total for joint in joints]) - 1.0
     while True:
@@ -197,7 +200,7 @@ def _rings(joints: Sequence[Joint]) -> list[list[int]]:
 
 
 def row_chains(count: int, joints: Sequence[Joint]) -> list[list[End]]:
-    """Strokes as the ends at which each of their rows is entered, every one of `count` rows in one stroke."""
+    """Strokes as the ends at which each of their rows is entered; each of `count` rows is in exactly one stroke."""
     beside: dict[End, End] = {}
     for joint in joints:
         beside[joint.first] = joint.second
@@ -220,7 +223,7 @@ def row_chains(count: int, joints: Sequence[Joint]) -> list[list[End]]:
 
 @dataclass(frozen=True)
 class _Over:
-    """How far along the edge an end overshoots (with a sign) [m], and how much of the row bends towards that [m]."""
+    """How far along the edge an end overshoots (signed) [m], and how much of the row bends towards that [m]."""
 
     arc: float = 0.0
     bent: float = 0.0
@@ -229,7 +232,7 @@ class _Over:
 def stitched(
     rows: Sequence[Row], chain: Sequence[End], joints: Sequence[Joint], edge: InsetEdge, spacing: float
 ) -> Array:
-    """One polyline (n, 3) of open rows, each entered at the end given, and of the joints between them."""
+    """One polyline (n, 3) of open rows, each entered at the given end, and the joints between them."""
     at = {end: joint for joint in joints for end in (joint.first, joint.second)}
     arcs: dict[int, list[float]] = {}
     for any_row in rows:
@@ -257,7 +260,7 @@ def stitched(
 def _overshoot(
     rows: Sequence[Row], end: End, joint: Joint | None, arcs: dict[int, list[float]], edge: InsetEdge, spacing: float
 ) -> _Over:
-    """How an end overshoots, on the side where no joint is."""
+    """How an end overshoots, on the side without a joint."""
     points, ends = rows[end[0]].points, rows[end[0]].ends
     if ends is None:
         return _Over()
@@ -265,7 +268,7 @@ def _overshoot(
     inward = points[1] - points[0] if end[1] == 0 else points[-2] - points[-1]
     along = edge.at(loop, arc + 0.2 * spacing) - edge.at(loop, arc - 0.2 * spacing)
     cosine = float(inward @ along / max(np.linalg.norm(inward) * np.linalg.norm(along), np.finfo(float).tiny))
-    # the edge leans away in the sense in which it goes against the row's way inward
+    # the edge leans away in the sense in which it runs against the row's direction inward
     sense = -np.sign(cosine)
     if joint is not None and sense == (1.0 if joint.first == end else -1.0):
         return _Over()
@@ -283,7 +286,7 @@ def _overshoot(
 
 
 def _bent(points: Array, first: float, last: float) -> Array:
-    """A row without what bends at its two ends [m]."""
+    """A row without the lengths `first` and `last` [m] that bend at its ends."""
     s = arc_lengths(points)
     most = 0.5 * (1.0 - _KEPT) * s[-1]
     start, stop = min(first, most), s[-1] - min(last, most)
@@ -292,7 +295,7 @@ def _bent(points: Array, first: float, last: float) -> Array:
 
 
 def _joint(joint: Joint, before: float, after: float, edge: InsetEdge) -> Array:
-    """Points of a joint, which overshoots by so much at its two ends."""
+    """Points of a joint that overshoots by `before` and `after` [m] at its ends."""
     start, stop = joint.start + before, joint.stop + after
     head = [edge.at(joint.loop, start)] if before else []
     tail = [edge.at(joint.loop, stop)] if after else []
@@ -300,7 +303,7 @@ def _joint(joint: Joint, before: float, after: float, edge: InsetEdge) -> Array:
 
 
 def _tail(rows: Sequence[Row], end: End, over: _Over, edge: InsetEdge) -> Array:
-    """Where a line's own end overshoots."""
+    """The point (k, 3), if any, to which a line's own end overshoots."""
     ends = rows[end[0]].ends
     if ends is None or not over.arc:
         return np.empty((0, 3))

@@ -1,9 +1,9 @@
 """Orders in which to visit the samples of a face: greedy, weighted greedy, and a travelling salesman's tour.
 
 Onstein et al., algorithms 3 to 5. Both greedy orders may leave samples behind and come back for them across printed
-material. The tour is open and starts from the greedy order. PyVRP searches it with one vehicle and a depot next door to
-everywhere; it stops after a number of iterations, never by the clock, so every machine finds the same tour. PyVRP does
-not reverse pieces of a tour; `improve` does, which removes the last crossings.
+material. The tour is open and starts from the greedy order. PyVRP searches for it with one vehicle and a depot at
+distance zero from everywhere; it stops after a fixed number of iterations, never by the clock, so every machine finds
+the same tour. PyVRP does not reverse pieces of a tour; `improve` does, which removes the last crossings.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import inner_njit, njit
 
-# Samples nearer than this many spacings are neighbours. With a knight's move (2.24) among them, the shortest way over
+# Samples nearer than this many spacings are neighbours. With a knight's move (2.24) included, the shortest path over
 # neighbours is at most 3 % longer than the straight one.
 _REACH = 2.3
-# Cosine of the angle between normals from which on two samples are on sheets that only lie close to each other.
+# Cosine of the angle between normals: from here down, two samples are on different sheets that happen to be close.
 _OTHER_SHEET = 0.0
 
 _LONGEST_MOVED = 3  # samples in a piece that is moved (Or-opt)
-_GAIN = 1e-9  # of the mean distance: less is rounding
+_GAIN = 1e-9  # × the mean distance: a smaller gain is rounding
 
-# What it costs to leave the row, in spacings: more than the next sample of the row is farther than the next row.
+# Cost of leaving the row, in spacings: more than the next sample of the row can be farther away than the next row.
 ROW_WEIGHT = 1.0
 
 MOST_SAMPLES = 4000  # of a tour: distances between all pairs are held at once, 128 MB
@@ -44,13 +44,13 @@ _SEED = 1
 
 @dataclass(frozen=True)
 class SampledSurface:
-    """Samples of faces, as the orders of visits see them.
+    """Samples of faces, as used to order visits.
 
     points, normals (n, 3)  places and unit outward normals [m, part frame]
     parameters (n, 2)       u and v of each on its face
     face (n,)               number of the face
-    row (n,)                line of constant u (or v, where faces were sampled the other way) that it stands on; no
-                            number is used twice
+    row (n,)                number of the line of constant u (or v, if faces were sampled the other way) that it lies
+                            on; no number is used twice
     spacing                 desired distance along u and along v [m]
     """
 
@@ -62,12 +62,12 @@ class SampledSurface:
     spacing: tuple[float, float]
 
     def links(self) -> csr_array:
-        """Chords between neighbours [m], (n, n) sparse and symmetric: the distance along the surface, near enough."""
+        """Chords between neighbours [m], (n, n) sparse and symmetric: approximately the distance along the surface."""
         pairs = cKDTree(self.points).query_pairs(_REACH * max(self.spacing), output_type="ndarray")
         a, b = pairs[:, 0], pairs[:, 1]
         same = self.are_neighbours(a, b)
         a, b = a[same], b[same]
-        # a chord of length zero would be no link: samples at one place (a pole) are a hair apart
+        # a chord of zero length would be no link: samples at the same place (a pole) are kept a hair apart
         chord = np.maximum(np.linalg.norm(self.points[a] - self.points[b], axis=1), np.finfo(float).tiny)
         n = len(self.points)
         return csr_array(
@@ -93,7 +93,7 @@ class SampledSurface:
 def along_surface(surface: SampledSurface, links: csr_array, start: Ints) -> Array:
     """Distances (len(start), n) along the surface over the links [m].
 
-    Where no links lead there, the chord through the air plus more than any way along the surface.
+    Where no links lead: the chord through the air, plus more than any path along the surface.
     """
     way = np.atleast_2d(dijkstra(links, indices=start))
     if np.isinf(way).any():
@@ -105,10 +105,10 @@ def along_surface(surface: SampledSurface, links: csr_array, start: Ints) -> Arr
 
 @njit
 def improve(order: Ints, distance: Array) -> Ints:
-    """The order (n,) of an open tour, improved until no such move shortens it; distance (n, n) symmetric.
+    """The order (n,) of an open tour, improved until no 2-opt or Or-opt move shortens it; distance (n, n) is symmetric.
 
-    No two chords of the result cross where distance is that of a plane: turning the piece between them round would
-    shorten the tour.
+    If distances are those in a plane, no two chords of the result cross: reversing the piece between them would shorten
+    the tour.
     """
     tour = order.copy()
     n = len(tour)
@@ -121,7 +121,7 @@ def improve(order: Ints, distance: Array) -> Ints:
         better = False
         for i in range(n - 1):
             for j in range(i + 1, n):
-                # tour[i..j] turned round: the chords before i and after j change, where there are any
+                # reversing tour[i..j] changes the chords before i and after j, if there are any
                 change = 0.0
                 if i > 0:
                     change += distance[tour[i - 1], tour[j]] - distance[tour[i - 1], tour[i]]
@@ -139,7 +139,7 @@ def improve(order: Ints, distance: Array) -> Ints:
 
 @inner_njit
 def _move(tour: Ints, distance: Array, i: int, size: int, least: float) -> bool:
-    """Move tour[i : i + size] to where it costs least, either way round, if that shortens the tour."""
+    """Move tour[i : i + size] to where it costs least, in either direction, if that shortens the tour."""
     n = len(tour)
     last = i + size - 1
     freed = 0.0
@@ -178,32 +178,32 @@ def _move(tour: Ints, distance: Array, i: int, size: int, least: float) -> bool:
 
 @dataclass(frozen=True)
 class VisitRule:
-    """What an order of visits may be told: the first sample, and how many spacings more a sample off the row costs."""
+    """Options of an order of visits: the first sample, and how many spacings more a sample off the row costs."""
 
     start: int = 0
     weight: float = ROW_WEIGHT
 
 
 def greedy(surface: SampledSurface, rule: VisitRule = VisitRule()) -> Ints:
-    """Go to the nearest sample that has not been visited (n,); of equally near ones, to the one with the lowest index."""
+    """Always go to the nearest unvisited sample (n,); of equally near ones, to that with the lowest index."""
     return _nearest_first(surface, rule.start, 0.0)
 
 
 def weighted_greedy(surface: SampledSurface, rule: VisitRule = VisitRule()) -> Ints:
-    """As greedy, but samples off the row cost more (n,), and once more amid a row: from side to side, row by row.
+    """As `greedy` (n,), but samples off the row cost more, and twice as much amid their row: side to side, row by row.
 
-    The second weight is not the paper's. Rows differ in length, and where the next one is longer, its nearest sample is
-    not its last one, which would be left behind.
+    The second weight is not from the paper. Rows differ in length; if the next one is longer, its nearest sample is not
+    its last one, which would be left behind.
     """
     return _nearest_first(surface, rule.start, rule.weight * max(surface.spacing))
 
 
 def _nearest_first(surface: SampledSurface, start: int, weight: float) -> Ints:
-    """Always go where distance plus weight is least, from the first sample on."""
+    """Always go where distance plus weight is least, from sample `start` on."""
     links, before, after = surface.links(), *surface.row_neighbours()
     n = len(surface.points)
     order = np.full(n, start, dtype=np.int64)
-    left = np.ones(n + 1, dtype=np.bool_)  # the last one stands for a neighbour that there is not
+    left = np.ones(n + 1, dtype=np.bool_)  # the last entry stands for a missing neighbour
     left[[start, n]] = False
     for k in range(1, n):
         here = int(order[k - 1])
@@ -224,7 +224,7 @@ def _nearest_first(surface: SampledSurface, start: int, weight: float) -> Ints:
 
 
 def without_jumps(surface: SampledSurface, order: Ints) -> list[Ints]:
-    """An order of visits in pieces: where the next sample is no neighbour, the way would lead across what is printed."""
+    """Split an order of visits where the next sample is no neighbour: the path there would cross printed material."""
     return np.split(order, np.flatnonzero(~surface.are_neighbours(order[:-1], order[1:])) + 1)
 
 
@@ -233,7 +233,7 @@ class TooManySamplesError(ValueError):
 
 
 def tour(surface: SampledSurface, rule: VisitRule = VisitRule()) -> Ints:
-    """A short open tour over the samples (n,), from near the greedy one; where it starts and ends is its own choice.
+    """A short open tour over the samples (n,), searched from the greedy one; its start and end are free.
 
     Raises TooManySamplesError.
     """

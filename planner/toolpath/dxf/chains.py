@@ -13,13 +13,13 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Ints
 
 End = tuple[int, int]  # a line, and its end: 0 or 1
-_ALONG = 1.0 - 1e-9  # cosine between the ways of lines that lie on each other
-_AT = 0.01  # of the distance at which ends are joined: so near, such lines begin at one place
+_ALONG = 1.0 - 1e-9  # least cosine between the directions of lines that lie on each other
+_AT = 0.01  # × the joining distance: ends of such lines this near are at the same place
 
 
 @dataclass(frozen=True)
 class DrawnLine:
-    """A line of a drawing, (n, 2) in its units; `group`: only lines of one are joined."""
+    """A line of a drawing, (n, 2) in its units; only lines of the same `group` are joined."""
 
     name: str
     group: str
@@ -28,9 +28,10 @@ class DrawnLine:
 
 
 def joined(lines: Sequence[DrawnLine], join: float) -> list[DrawnLine]:
-    """The lines, those of a group put together whose ends are at most `join` apart; in the order of their first parts.
+    """Join the lines of a group whose ends are at most `join` apart; results are in the order of their first parts.
 
-    Where more than two ends meet, those that go on straightest are joined; none whose lines lie on each other there.
+    Where more than two ends meet, those that continue straightest are joined, but none whose lines lie on each other
+    there.
     """
     partner: dict[End, End] = {}
     for group in dict.fromkeys(line.group for line in lines):
@@ -53,7 +54,7 @@ def joined(lines: Sequence[DrawnLine], join: float) -> list[DrawnLine]:
 
 
 def _pairs(lines: Sequence[DrawnLine], loose: Sequence[int], join: float) -> dict[End, End]:
-    """For each end that is joined to another, that one."""
+    """The partner of each end that is joined to another."""
     ends: list[End] = [(i, k) for i in loose for k in (0, 1)]
     places = np.array([lines[i].points[-k] for i, k in ends])
     near = cKDTree(places).query_pairs(join, output_type="ndarray")
@@ -92,8 +93,8 @@ def _leaving(points: Array, end: int) -> Array:
 
 
 def _run(start: int, partner: dict[End, End]) -> tuple[list[tuple[int, bool]], bool]:
-    """The lines joined with one, in order, each with whether it runs backwards; and whether they close."""
-    first, back = start, False  # begin where the chain begins, if it does anywhere
+    """The lines joined to line `start`, in order, each with whether it runs backwards; and whether they close."""
+    first, back = start, False  # begin where the chain begins, if it has a beginning
     seen = {start}
     while (before := partner.get((first, 1 if back else 0))) is not None:
         if before[0] in seen:

@@ -1,4 +1,4 @@
-"""Reads the lines of a DXF drawing as plane paths in metres; what is no line is counted and told.
+"""Reads the lines of a DXF drawing as plane paths in metres; anything else is counted and reported.
 
 The package ezdxf reads the file and evaluates arcs, ellipses and splines.
 """
@@ -33,24 +33,24 @@ _BINARY = b"AutoCAD Binary DXF"
 _DWG = re.compile(rb"AC10\d\d")
 _START = re.compile(rb"\s*(?:999\s[^\n]*\n\s*)*0\s*[\r\n]+\s*SECTION", re.IGNORECASE)
 _END = re.compile(rb"^\s*EOF\s*$", re.MULTILINE)
-_UNDRAWN = (ValueError, ZeroDivisionError, TypeError, AttributeError)  # of an entity that lacks what it is drawn by
-_COARSE = 1e-3  # of the drawing's extent: chords by which it is measured at first
-_SPANS = 8  # pieces of a spline between knots that are looked at
-_FLAT = 1e-9  # of the extent: heights that differ by less are one
-_STRAIGHT = 1e-6  # a smaller bulge (rise over half the chord) is none
-_FARTHEST = 1e12  # of the drawing's units: farther off, fractions of a drawing as large as a part are lost
+_UNDRAWN = (ValueError, ZeroDivisionError, TypeError, AttributeError)  # from an entity without data to draw it by
+_COARSE = 1e-3  # × the drawing's extent: chord tolerance for a first measurement
+_SPANS = 8  # pieces of a spline between knots that are checked
+_FLAT = 1e-9  # × the extent: smaller differences count as none
+_STRAIGHT = 1e-6  # a smaller bulge (rise over half the chord) counts as straight
+_FARTHEST = 1e12  # drawing units: farther from the origin, rounding loses the details of a part-sized drawing
 _FRAME = 16  # flag of a vertex that is a corner of a spline's frame
 _SHOWN = 8  # names in a sentence
 
 LINES = ("LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE", "HELIX")
-# $INSUNITS of the header, by ezdxf's numbers: millimetres of one
+# $INSUNITS of the header, by ezdxf's numbers: millimetres per unit
 INSUNITS = {1: 25.4, 2: 304.8, 3: 1609344.0, 4: 1.0, 5: 10.0, 6: 1e3, 7: 1e6, 8: 2.54e-5, 9: 0.0254, 10: 914.4}
 INSUNITS |= {11: 1e-7, 12: 1e-6, 13: 1e-3, 14: 100.0, 15: 1e4, 16: 1e5}
-INSUNITS |= {21: 1200e3 / 3937.0, 22: 100e3 / 3937.0, 23: 3600e3 / 3937.0, 24: 6336e6 / 3937.0}  # of US surveys
+INSUNITS |= {21: 1200e3 / 3937.0, 22: 100e3 / 3937.0, 23: 3600e3 / 3937.0, 24: 6336e6 / 3937.0}  # US survey units
 
 
 class DxfRead(NamedTuple):
-    """The paths of a drawing, and sentences about what else it holds and what was done to it."""
+    """The paths of a drawing, and notes on its other contents and on what was done to it."""
 
     paths: tuple[PlanePath, ...]
     notes: tuple[str, ...]
@@ -58,20 +58,20 @@ class DxfRead(NamedTuple):
 
 @dataclass(frozen=True)
 class _Found:
-    """What a walk through a drawing has met."""
+    """What a walk through a drawing has found."""
 
     lines: list[tuple[Any, str, str]] = field(default_factory=list)  # entity, name, layer
     others: Counter[str] = field(default_factory=Counter)
     unseen: Counter[str] = field(default_factory=Counter)  # on layers that are off, by layer
-    unwanted: Counter[str] = field(default_factory=Counter)  # on layers that were not asked for
+    unwanted: Counter[str] = field(default_factory=Counter)  # on layers that were not requested
 
 
 def read_dxf(spec: DxfSpec, flatness: float, where: Complaint) -> DxfRead:
-    """Read the lines of a drawing, their middle at the origin, in the drawing's unit or `spec.width` metres wide.
+    """Read the lines of a drawing, centred on the origin, in the drawing's unit or `spec.width` metres wide.
 
-    Arcs, ellipses and splines become chords at most `flatness` [m] off; every vertex stays one. Lines of a layer whose
-    ends are at most `spec.join` [m] apart become one path. `where(reason, hint=...)` makes the InputError for what is
-    wrong with the file.
+    Arcs, ellipses and splines become chords at most `flatness` [m] off; vertices are kept. Lines of a layer whose ends
+    are at most `spec.join` [m] apart become one path.
+    Raises InputError, made by `where(reason, hint=...)`, for anything wrong with the file.
     """
     document = read_drawing(spec.dxf, where)
     name = spec.dxf.name
@@ -79,7 +79,7 @@ def read_dxf(spec: DxfSpec, flatness: float, where: Complaint) -> DxfRead:
     notes = _told(found, spec)
     if not found.lines:
         more = f": {'; '.join(notes)}" if notes else ""
-        raise where(f"{name} draws nothing that can be printed{more}", hint=f"lines are {', '.join(LINES)}")
+        raise where(f"{name} contains nothing that can be printed{more}", hint=f"lines are {', '.join(LINES)}")
     unit, note = _unit(document, spec)
     if note and spec.width is None:
         notes.append(note)
@@ -96,24 +96,24 @@ def read_dxf(spec: DxfSpec, flatness: float, where: Complaint) -> DxfRead:
     extent = float((high - low).max()) * scale * 1e3
     if not NARROWEST_MM <= extent <= WIDEST_MM:
         raise where(
-            f"{name} is {extent:.6g} mm large", hint="say how large: layers.source.unit or layers.source.width_mm"
+            f"{name} is {extent:.6g} mm across", hint="set its size: layers.source.unit or layers.source.width_mm"
         )
     off = float(np.ptp(heights)) * scale
     if off > max(flatness, _FLAT):
-        notes.append(f"lines leave a level plane by up to {off * 1e3:.3f} mm: they are seen from above")
+        notes.append(f"lines lie up to {off * 1e3:.3f} mm off a level plane: they are projected onto it")
 
     same = SAME_POINT * flatness / scale
     kept = [line for line in lines if np.ptp(line.points, axis=0).max() > same]
     if len(kept) < len(lines):
-        notes.append(f"{_count(len(lines) - len(kept), 'line')} that are points, seen from above, left out")
+        notes.append(f"mere points when seen from above, left out: {_count(len(lines) - len(kept), 'line')}")
     near = max(same, min(spec.join, flatness) / scale)
     kept, twins = without_twins(kept, near, attrgetter("group"))
     chains = joined(kept, spec.join / scale)
-    once, again = without_twins(chains, near, attrgetter("group"))  # as a polyline over loose lines
+    once, again = without_twins(chains, near, attrgetter("group"))  # such as a polyline over loose lines
     if twins + again:
         notes.append(f"{_count(twins + again, 'line')} drawn twice left out")
     if len(chains) < len(kept):
-        notes.append(f"{len(kept)} lines joined to {len(chains)} where ends are within {spec.join * 1e3:g} mm")
+        notes.append(f"{len(kept)} lines joined into {len(chains)} where ends are within {spec.join * 1e3:g} mm")
     paths = _placed(once, 0.5 * (low + high), scale, SAME_POINT * flatness)
     if not paths:
         raise where(f"{name} draws nothing but points", hint="draw it larger: layers.source.unit or width_mm")
@@ -121,21 +121,21 @@ def read_dxf(spec: DxfSpec, flatness: float, where: Complaint) -> DxfRead:
 
 
 def read_drawing(path: Any, where: Complaint) -> Any:
-    """The document of a file, whose errors are mended where they can be. Raises InputError where it is no DXF file."""
-    data = read_bytes(path, DXF_BYTES.most, where, "save it without what is not printed")
+    """The document of a file, with errors repaired where possible. Raises InputError if it is no DXF file."""
+    data = read_bytes(path, DXF_BYTES.most, where, "save it without anything that is not to be printed")
     name = path.name
     if _DWG.match(data):
         raise where(f"{name} is a DWG file", hint="save it as DXF")
     binary = data.startswith(_BINARY)
     if not binary and not _START.match(data.removeprefix(b"\xef\xbb\xbf")):
-        raise where(f"{name} is no DXF file: it does not begin with a section", hint="save it as DXF")
+        raise where(f"{name} is not a DXF file: it does not begin with a section", hint="save it as DXF")
     try:
         from ezdxf import recover
         from ezdxf.filemanagement import readfile
         from ezdxf.lldxf.const import DXFError
     except ImportError as error:
         raise missing_extra(error, f"reading {name}") or error from None
-    logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # what it mends is not for the terminal
+    logging.getLogger("ezdxf").addHandler(logging.NullHandler())  # its repairs are not for the terminal
     try:
         document = readfile(path) if binary else recover.read(io.BytesIO(data))[0]
         count = len(document.modelspace())
@@ -151,19 +151,19 @@ def read_drawing(path: Any, where: Complaint) -> Any:
         RecursionError,
         struct.error,
     ) as error:
-        # a damaged file may break ezdxf at any place
+        # a damaged file may break ezdxf anywhere
         what = " ".join(str(error).split())[:120] or type(error).__name__
-        raise where(f"{name} is damaged: {what}", hint="save it anew, as DXF R2000 or later") from error
+        raise where(f"{name} is damaged: {what}", hint="save it again, as DXF R2000 or later") from error
     if not binary and not _END.search(data):
         raise where(
-            f"{name} is damaged: its end (EOF) is missing; {_count(count, 'entity', 'entities')} could be read before it",
-            hint="save it anew",
+            f"{name} is damaged: its end (EOF) is missing; {_count(count, 'entity', 'entities')} could be read up to there",
+            hint="save it again",
         )
     return document
 
 
 def _walked(document: Any, spec: DxfSpec, where: Complaint) -> _Found:
-    """What is in model space, blocks taken apart; of the wanted layers, or of all that are on."""
+    """The contents of model space with blocks expanded, on the requested layers or on all that are on."""
     found = _Found()
     known = {layer.dxf.name.lower(): layer for layer in document.layers}
     wanted = None if spec.layers is None else {name.lower() for name in spec.layers}
@@ -196,24 +196,26 @@ def _walked(document: Any, spec: DxfSpec, where: Complaint) -> _Found:
 
 
 class _Visits:
-    """Counts entities as they are met: of blocks within blocks nobody knows how many they are before."""
+    """Counts entities as they are visited: with nested blocks, their number is not known beforehand."""
 
     def __init__(self, name: str, where: Complaint) -> None:
         self.name, self.where, self.count = name, where, 0
 
     def one_more(self) -> None:
-        """Raises InputError for one too many."""
+        """Count one more entity. Raises InputError if that is one too many."""
         self.count += 1
         DXF_ENTITIES.check(
-            self.count, f"{self.name}, its blocks taken apart, has at least", self.where, "save it with fewer blocks"
+            self.count, f"{self.name}, with its blocks expanded, has at least", self.where, "save it with fewer blocks"
         )
 
 
 def _parts(
     entities: Iterable[Any], layer: str, depth: int, others: Counter[str], visits: _Visits, frozen: Collection[str]
 ) -> Iterator[tuple[Any, str]]:
-    """Entities and the layer that each is drawn on; blocks taken apart, in which layer 0 is that of the reference, unless that
-    is hidden or on a layer that is frozen."""
+    """Entities with blocks expanded, and the layer that each is drawn on.
+
+    Layer 0 in a block is the layer of its reference. A reference that is hidden or on a frozen layer is not expanded.
+    """
     for entity in entities:
         visits.one_more()
         own = str(entity.dxf.get("layer", "0"))
@@ -230,7 +232,7 @@ def _parts(
             for one in entity.multi_insert() if entity.mcount > 1 else (entity,):
                 visits.one_more()
                 if one.dxf.get("zscale", 1.0) == 0.0:
-                    one.dxf.zscale = 1.0  # some programs flatten blocks so, and ezdxf cannot turn what has no height
+                    one.dxf.zscale = 1.0  # some programs flatten blocks this way; ezdxf cannot turn those
                 try:
                     inner = list(one.virtual_entities(skipped_entity_callback=skipped))
                 except _UNDRAWN:
@@ -242,7 +244,7 @@ def _parts(
 def _told(found: _Found, spec: DxfSpec) -> list[str]:
     notes = []
     if found.others:
-        notes.append(f"what is no line is not printed: {_list(found.others)}")
+        notes.append(f"not lines, and not printed: {_list(found.others)}")
     if found.unseen:
         notes.append(f"hidden, or on layers that are off, and not printed: {_list(found.unseen)}")
     if found.unwanted:
@@ -260,24 +262,24 @@ def _count(count: int, one: str, several: str | None = None) -> str:
 
 
 def _unit(document: Any, spec: DxfSpec) -> tuple[float, str]:
-    """Millimetres of a unit of the drawing, and what is to be told of it."""
+    """Millimetres per unit of the drawing, and a note about it, if any."""
     if spec.unit is not None:
         return UNITS[spec.unit], ""
     number = document.header.get("$INSUNITS", 0)
     if number in INSUNITS:
         return INSUNITS[number], ""
-    why = "names no unit" if number == 0 else f"names a unit, {number}, that is none"
+    why = "names no unit" if number == 0 else f"gives an unknown unit, {number}"
     return 1.0, f"the drawing {why}: lengths are taken as millimetres (layers.source.unit)"
 
 
 def _measured(found: _Found, where: Complaint, spec: DxfSpec) -> float:
-    """About how wide the drawing is, or how large where it has no width, in its units."""
+    """About how wide the drawing is, or how large if it has no width, in its units."""
     from ezdxf.bbox import extents
 
     try:
         box = extents((entity for entity, _, _ in found.lines), fast=True)
     except _UNDRAWN as error:
-        raise where(f"a line of {spec.dxf.name} cannot be drawn: {error}", hint="draw it anew") from error
+        raise where(f"a line of {spec.dxf.name} cannot be drawn: {error}", hint="redraw it") from error
     size = max(float(box.size.x), float(box.size.y)) if box.has_data else 0.0
     if not (np.isfinite(size) and size > 0.0):
         raise where(f"{spec.dxf.name} draws nothing but points", hint="is it drawn in the xy plane?")
@@ -288,18 +290,18 @@ def _measured(found: _Found, where: Complaint, spec: DxfSpec) -> float:
 
 
 def _flattened(found: _Found, chord: float, where: Complaint, spec: DxfSpec) -> tuple[list[DrawnLine], Array]:
-    """The lines, chords at most `chord` off them, and the heights of all their vertices; all in the drawing's units."""
+    """The lines as chords at most `chord` off, and the heights of all their vertices, in the drawing's units."""
     lines, heights, room = [], [], DRAWING_POINTS.most
     for entity, name, layer in found.lines:
         try:
             points = np.array([(p.x, p.y, p.z) for p in _vertices(entity, chord)], dtype=float)
         except _UNDRAWN as error:
-            raise where(f"{name} of {spec.dxf.name} cannot be drawn: {error}", hint="draw it anew") from error
+            raise where(f"{name} of {spec.dxf.name} cannot be drawn: {error}", hint="redraw it") from error
         if len(points) == 0:
             continue
         if not (np.abs(points) <= _FARTHEST).all():  # NaN is not
-            reason = f"{name} of {spec.dxf.name} has a coordinate that is no number, or greater than {_FARTHEST:g}"
-            raise where(reason, hint="draw it anew")
+            reason = f"{name} of {spec.dxf.name} has a coordinate that is not a number, or greater than {_FARTHEST:g}"
+            raise where(reason, hint="redraw it")
         room -= len(points)
         if room < 0:
             raise where(
@@ -343,7 +345,7 @@ def _vertices(entity: Any, chord: float) -> Iterator[Any]:
 
 
 def _spline(tool: Any, chord: float) -> Iterator[Any]:
-    """Vertices of a spline; of one that is not clamped, as closed ones are, within its domain, beyond which it has knots."""
+    """Vertices of a spline; an unclamped one, such as a closed one, is cut to its domain, since it has knots beyond."""
     if tool.is_clamped:
         yield from tool.flattening(chord, _SPANS)
         return
@@ -360,8 +362,10 @@ def _spline(tool: Any, chord: float) -> Iterator[Any]:
 
 
 def _straighten(entity: Any) -> None:
-    """Make straight what a polyline bulges by a hair: the arc's centre would be too far away to compute with; and leave out the
-    corners of the frame of one that is a spline, which no program shows."""
+    """Straighten tiny bulges of a polyline, and leave out the corners of a spline's frame.
+
+    The centre of such a bulge would be too far away to compute with; no program shows the frame.
+    """
     if entity.dxftype() == "LWPOLYLINE":
         rows = entity.get_points("xyseb")
         if any(0.0 < abs(row[4]) < _STRAIGHT for row in rows):
@@ -374,12 +378,12 @@ def _straighten(entity: Any) -> None:
 
 
 def _polyline(entity: Any, chord: float) -> Iterator[Any]:
-    """Vertices of a polyline, its bulges divided."""
+    """Vertices of a polyline, with its bulges divided."""
     last = None
     for part in entity.virtual_entities():
         points = list(_vertices(part, chord))
         if last is not None and points and last.distance(points[0]) > last.distance(points[-1]):
-            points = points[::-1]  # an arc runs counterclockwise, whatever the polyline does
+            points = points[::-1]  # an arc runs counter-clockwise, whatever the polyline does
         elif last is None and part.dxftype() == "ARC":
             points = points if _starts(entity, points) else points[::-1]
         yield from points if last is None else points[1:]
@@ -387,7 +391,7 @@ def _polyline(entity: Any, chord: float) -> Iterator[Any]:
 
 
 def _starts(entity: Any, points: list[Any]) -> bool:
-    """Whether a polyline's first vertex is the first of these points, not the last."""
+    """Whether a polyline's first vertex is the first of these points rather than the last."""
     if entity.dxftype() == "LWPOLYLINE":
         first = next(iter(entity.vertices_in_wcs()))
     else:
@@ -396,7 +400,7 @@ def _starts(entity: Any, points: list[Any]) -> bool:
 
 
 def _placed(chains: Iterable[DrawnLine], centre: Array, scale: float, same: float) -> tuple[PlanePath, ...]:
-    """Paths in metres about the centre; points within `same` [m] of the one before are one."""
+    """Paths in metres about the centre; points within `same` [m] of the one before are merged."""
     paths = []
     names = Counter[str]()
     for chain in chains:

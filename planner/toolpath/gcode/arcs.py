@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 
-_OFF = 0.01, 5e-5  # share of the radius, and m, by which an arc's ends may differ in it: files are rounded
+_OFF = 0.01, 5e-5  # share of the radius, and m, by which the radii at an arc's ends may differ: files are rounded
 _MOST_CHORDS = 10_000
 
 
@@ -15,7 +15,7 @@ class NoArc(ValueError):
 
 
 def arc_by_centre(start: Array, end: Array, centre: Array, clockwise: bool, chord_tolerance: float) -> Array:
-    """Points (n, 2) of an arc from start (2, exclusive) to end (2, inclusive) [m]; a whole circle where these are one.
+    """Points (n, 2) of an arc from start (2, exclusive) to end (2, inclusive) [m]; a full circle if they are equal.
 
     Chords leave the arc by at most `chord_tolerance` [m]. Raises NoArc.
     """
@@ -41,15 +41,15 @@ def arc_by_centre(start: Array, end: Array, centre: Array, clockwise: bool, chor
 
 
 def centre_by_radius(start: Array, end: Array, radius: float, clockwise: bool) -> Array:
-    """Centre (2) of the arc of a radius [m] from start to end; a negative radius is that of the longer arc. Raises NoArc."""
+    """Centre (2) of the arc from start to end with a radius [m], negative for the longer arc. Raises NoArc."""
     way = end - start
     half = 0.5 * float(np.hypot(*way))
     if half == 0.0:
-        raise NoArc("an arc by its radius ends where it starts")
+        raise NoArc("an arc given by its radius ends where it starts")
     if half > abs(radius) + _OFF[1]:
         raise NoArc(f"an arc of radius {abs(radius) * 1e3:.3f} mm cannot join points {half * 2e3:.3f} mm apart")
     away = float(np.sqrt(max(radius**2 - half**2, 0.0)))
     left = np.array([-way[1], way[0]]) / (2.0 * half)
-    # of a counter-clockwise arc of less than half a turn the centre lies to the left
+    # the centre of a counter-clockwise arc of less than half a turn lies to the left
     side = -1.0 if clockwise == (radius > 0.0) else 1.0
     return np.asarray(0.5 * (start + end) + side * away * left)

@@ -24,16 +24,16 @@ from planner.toolpath.plane_paths import SAMPLES_PER_TOLERANCE, PlaneCurve, dens
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.workload import check_threads, longest
 
-VOLUMETRIC = 1e-6  # m^2: of a filament whose millimetres are cubic ones
-_SHRUNK = 0.8  # of its length that a path keeps when it is rounded: else it is rounded less
-_FEWER = 0.5  # times the tolerance then
+VOLUMETRIC = 1e-6  # m^2: cross-section of a filament of which 1 mm holds 1 mm^3
+_SHRUNK = 0.8  # share of its length that a rounded path must keep: otherwise it is rounded less
+_FEWER = 0.5  # factor on the tolerance for each further try
 _TRIES = 8
-_FADING = 0.05  # of a thread, at most, that is thinner than any bead
+_FADING = 0.05  # greatest share of a thread that may be thinner than any bead
 
 
 @dataclass(frozen=True)
 class Layer:
-    """What a level layer covers, from its top [m] down: discs around the samples of its beads.
+    """The space that a level layer covers, from its top [m] down: discs around the samples of its beads.
 
     tree of their centres in the plane; radii (n), half the beads' widths [m]
     """
@@ -47,9 +47,9 @@ class Layer:
 class LevelLayers:
     """The bed, the part frame's xy plane, and layers on it, solid down to the bed; lengths in metres, part frame.
 
-    layers   from the lowest on
+    layers   lowest first
     levels   the layer of each bead, in print order
-    solid    how many layers are there
+    solid    how many layers are already there
     """
 
     layers: tuple[Layer, ...]
@@ -70,7 +70,7 @@ class LevelLayers:
         return cls(tuple(layers), tuple(bead.layer for bead in beads))
 
     def before(self, bead: int) -> LevelLayers:
-        """The surface when the first `bead` beads have been printed: without the layer of the last of them."""
+        """The surface after the first `bead` beads, without the layer of the last of them."""
         return replace(self, solid=self.levels[bead - 1] if bead > 0 else 0)
 
     def signed_distance(self, points: Array) -> Array:
@@ -98,10 +98,10 @@ class LevelLayers:
 
 
 def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
-    """Lay a bead along whatever the file extrudes without interruption, in its order.
+    """Lay a bead along each uninterrupted extrusion of the file, in its order.
 
-    A bead is as high as its layer and has the volume that the file extrudes; what is left out is told in the notes.
-    Raises InputError for a file that cannot be read, and for what cannot be printed as level layers.
+    A bead is as high as its layer and has the volume that the file extrudes; the notes list what is left out.
+    Raises InputError for a file that cannot be read, or that cannot be printed as level layers.
     """
     process, source = problem.process, spec.source
     most = longest(problem) if spec.count is None else np.inf
@@ -122,7 +122,7 @@ def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
 
 
 def check_sizes(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, chosen: ChosenThreads) -> None:
-    """Raise InputError, as `slicer_print` does, for a thread that extrudes for no bead that can be meant."""
+    """Raise InputError, as `slicer_print` does, for a thread whose extrusion implies an implausible bead."""
     process, filament = problem.process, _filaments(problem, spec, read)
     for step in (*chosen.steps, *chosen.above):
         samples = max(int(step.thread.length / process.corner_tolerance * SAMPLES_PER_TOLERANCE), 8) + 1
@@ -138,7 +138,7 @@ def _filaments(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> dict
 
 
 def _materials(problem: Problem, spec: GcodeLayersSpec, steps: Sequence[PrintedThread]) -> dict[int, str]:
-    """The material of each tool that prints, by its number; nothing where the problem does not say."""
+    """The material of each tool that prints, by tool number; empty where the problem does not say."""
     names = spec.source.tools
     materials = {step.thread.tool: "" for step in steps}
     if names is None:
@@ -156,22 +156,22 @@ def _materials(problem: Problem, spec: GcodeLayersSpec, steps: Sequence[PrintedT
 
 
 def _sizes_and_speeds(file: Path, read: GcodeFile, beads: Sequence[Bead]) -> Iterator[str]:
-    """What the file says that the problem says otherwise."""
+    """Notes on bead sizes, which the file determines, and on its speeds, which the problem overrides."""
     width, height = (
         np.array([[size.min(), size.max()] for size in (getattr(bead, name) for bead in beads)]) * 1e3
         for name in ("width", "height")
     )
     yield (
         f"{file.name}: beads are {_range(width.min(), width.max(), 3)} mm wide and "
-        f"{_range(height.min(), height.max(), 3)} mm high, as what it extrudes says"
+        f"{_range(height.min(), height.max(), 3)} mm high, judging by what it extrudes"
     )
     if read.speeds:
         slow, fast = (1e3 * speed for speed in read.speeds)
-        yield f"{file.name}: its own speeds, {_range(slow, fast, 0)} mm/s, do not count; process.speed_mm_s does"
+        yield f"{file.name}: its own speeds, {_range(slow, fast, 0)} mm/s, are ignored; process.speed_mm_s is used"
 
 
 def _range(least: float, greatest: float, digits: int) -> str:
-    """Both values, or one where they read alike."""
+    """Both values as text, or one if they look the same."""
     texts = [f"{value:.{digits}f}" for value in (least, greatest)]
     return " to ".join(dict.fromkeys(texts))
 
@@ -179,7 +179,7 @@ def _range(least: float, greatest: float, digits: int) -> str:
 def _laid(
     step: PrintedThread, tolerance: float, filament: float, section: SectionName, file: Path, name: str
 ) -> tuple[PlaneCurve, tuple[Array, Array]]:
-    """A thread rounded, and width and height (n) [m] at its samples, so that these hold its volume.
+    """A thread with rounded corners, and the width and height (n) [m] at its samples that preserve its volume.
 
     filament: area of its cross-section [m^2]. Short pieces are rounded less, so that they do not shrink.
     """
@@ -196,15 +196,15 @@ def _laid(
 def sizes_of(
     step: PrintedThread, filament: float, section: SectionName, file: Path, samples: int
 ) -> tuple[Array, Array]:
-    """Width and height (n) [m] of a thread's bead at as many places, evenly along it, so that these hold its volume.
+    """Width and height (n) [m] of a thread's bead at n = `samples` evenly spaced places, preserving its volume.
 
     filament: area of its cross-section [m^2]. A scarf's end, where the flow fades away, keeps the least width. Raises
-    InputError, with file and line, for a bead that cannot be meant.
+    InputError, with file and line, for an implausible bead.
     """
     thread = step.thread
     arc = arc_lengths(thread.points)
     volume = filament * np.concatenate([[0.0], np.cumsum(thread.filament)])
-    # samples stand evenly on the input: each has the mean of the half step before it and the one behind it
+    # samples are evenly spaced on the input: each takes the mean over half a step before and after it
     n = samples
     edges = np.interp(np.arange(2 * n + 1) - 1.0, [0.0, 2.0 * n - 2.0], [0.0, arc[-1]])
     held = np.interp(edges, arc, volume)
@@ -226,9 +226,9 @@ def sizes_of(
 
 
 def _section(area: Array, height: float, section: SectionName) -> tuple[Array, Array]:
-    """Width and height (n) [m] of beads of cross-sections (n) [m^2] in a layer of a height [m].
+    """Width and height (n) [m] of beads with cross-sections `area` (n) [m^2] in a layer of a given height [m].
 
-    A rounded bead of less than a whole round is a thread thinner than the layer, as over a bridge.
+    A rounded bead with less than the area of a circle as high as the layer is a round thread, as on a bridge.
     """
     if section != "rounded":
         return area / height, np.full(len(area), height)
@@ -240,7 +240,7 @@ def _section(area: Array, height: float, section: SectionName) -> tuple[Array, A
 
 def _bead(step: PrintedThread, curve: PlaneCurve, sizes: tuple[Array, Array], origin: Array, material: str) -> Bead:
     thread, n = step.thread, len(curve.points)
-    way = arc_lengths(thread.points[:, :2])  # along which z rises, and which the samples divide evenly
+    way = arc_lengths(thread.points[:, :2])  # z rises along it, and the samples divide it evenly
     source = densify(curve.source)
     points, dense = (
         np.column_stack([plane, np.interp(at, way, thread.points[:, 2])]) + origin

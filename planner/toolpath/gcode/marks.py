@@ -10,7 +10,7 @@ from planner.problem.fields import FILAMENTS_MM
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 
-# By the words that a file holds, the first that fits; programs derived from others come before these.
+# The first pattern found in a file decides; programs derived from others come before them.
 _SLICERS = tuple(
     (name, re.compile(pattern))
     for name, pattern in (
@@ -25,9 +25,10 @@ _SLICERS = tuple(
         ("ideaMaker", r"Sliced by ideaMaker"),
     )
 )
-_ENDS = 100_000  # characters at either end of a file in which it says what wrote it
+_ENDS = 100_000  # characters at either end of a file, where slicers write their names and settings
 
-# Cura, ideaMaker; PrusaSlicer, SuperSlicer, OrcaSlicer; Bambu Studio; Simplify3D; KISSlicer; Kiri:Moto; Slic3r with comments
+# Cura, ideaMaker; PrusaSlicer, SuperSlicer, OrcaSlicer; Bambu Studio; Simplify3D; KISSlicer; Kiri:Moto; Slic3r with
+# comments
 _LAYER_WORDS = (
     r"(?i:LAYER):\s*-?\d+(?:\.\d+)?|(?:(?:BEFORE|AFTER)_)?LAYER_CHANGE|CHANGE_LAYER|layer \d+, Z\b.*"
     r"|BEGIN_LAYER_\w+ z=.*|; --- layer \d+.*|move to next layer \(\d+\)"
@@ -41,10 +42,10 @@ HEIGHT = re.compile(
 )
 # a stretch in which a tool is changed or cleaned, whatever is printed there
 STRETCH = re.compile(r"(CP (?:TOOLCHANGE|EMPTY GRID|PRIMING)|FLUSH|WIPE_TOWER)[ _](START|END)\b.*")
-_START_ENDS = re.compile(r"^G21\b[^;\n]*; set units to millimeters", re.MULTILINE)  # Slic3r's first line of its own
+_START_ENDS = re.compile(r"^G21\b[^;\n]*; set units to millimeters", re.MULTILINE)  # first line of Slic3r's own code
 _LAYER_HEIGHT = re.compile(rf"^;[ \t]*(?:Layer height: |layer_height = )({NUMBER})", re.MULTILINE)
 _VOLUME = re.compile(r"^;FLAVOR:(?:UltiGCode|.*\(Volumetric\))|^; use_volumetric_e = 1", re.MULTILINE)
-# of the filament that E counts, by tool: PrusaSlicer and what comes from it, ideaMaker, KISSlicer, Simplify3D, FlashPrint, IceSL
+# filament that E refers to, by tool: PrusaSlicer and derivatives, ideaMaker, KISSlicer, Simplify3D, FlashPrint, IceSL
 _DIAMETER = re.compile(
     r"^;[ \t]*(?:filament_diameter[ \t]*[=:]|Filament Diameter #\d+:|fiber_dia_mm =|filamentDiameters?,|filament_diameter\d+:"
     rf"|filament_diameter_mm_\d+[ \t]*:)[ \t]*({NUMBER}(?:[,|][ \t]*{NUMBER})*)",
@@ -52,18 +53,19 @@ _DIAMETER = re.compile(
 )
 _SAID = re.compile(r"^[ \t]*M8[23]\b", re.MULTILINE)
 _FILAMENT = re.compile(rf"^(?:G92\b|G0?1 [^;\n]*[XY][^;\n]*E({NUMBER}))", re.MULTILINE)
-_LOOKED_AT = 4000  # moves
-_FALLING = 0.5  # times as often as it rises: a length from the start hardly ever falls, steps do as often as they rise
-_EQUAL = 10.0  # times as often as it changes: steps of one length; travel may be written with the E of before, but not so often
+_LOOKED_AT = 4000  # moves examined
+_FALLING = 0.5  # falls per rise of E above which it is relative: absolute E hardly ever falls
+# repeats per change of E above which it is relative: equal steps; travel may repeat an absolute E, but less often
+_EQUAL = 10.0
 
 OWN = "the printer's own"
 PURGE, SKIRT, BRIM, SUPPORT, IRONING = "purge", "skirt", "brim", "support", "ironing"
-_TRAVEL = re.compile(r"destring|travel|wipe(?![ -]tower)")  # what KISSlicer calls its ways between paths
+_TRAVEL = re.compile(r"destring|travel|wipe(?![ -]tower)")  # KISSlicer's names for travel between paths
 
 
 @cache
 def share_of(kind: str) -> str:
-    """What a kind of line is beside the part: purge, skirt, brim, support or ironing; the printer's own; or nothing, the part."""
+    """What a kind of line is: purge, skirt, brim, support, ironing or the printer's own; empty for the part."""
     words = kind.lower()
     if words == "custom":
         return OWN
@@ -89,7 +91,7 @@ def kind_in(text: str) -> str | None:
     return None if _TRAVEL.match(kind.lower()) else kind
 
 
-# comments that are a kind and nothing else: of Slic3r behind its lines, where it was asked for them, and of Simplify3D 3
+# comments that are just a kind: Slic3r's at the end of its lines, if they were enabled, and Simplify3D 3's
 _KINDS_ALONE = frozenset(
     (
         "perimeter", "infill", "skirt", "brim", "support material", "support material interface", "bridge", "gap fill",
@@ -99,7 +101,7 @@ _KINDS_ALONE = frozenset(
 
 
 def slicer_of(text: str) -> str:
-    """What wrote a file, by what it says of itself; nothing where it does not say."""
+    """The program that wrote a file, as the file states it; empty if it does not."""
     ends = _ends(text)
     return next((name for name, pattern in _SLICERS if pattern.search(ends)), "")
 
@@ -109,18 +111,18 @@ def _ends(text: str) -> str:
 
 
 def diameters(text: str) -> tuple[float, ...]:
-    """Diameters [m] of the filaments that E counts, that of tool 0 first; nothing where the file does not say."""
+    """Filament diameters [m] that E refers to, tool 0 first; empty if the file states none, or implausible ones."""
     lists = [[float(each) for each in re.split(r"[,|]", match[1])] for match in _DIAMETER.finditer(_ends(text))]
     if not lists:
         return ()
-    # one list of all tools, which a file may hold twice, or a line for each
+    # one list for all tools, which a file may hold twice, or one line for each
     said = max(lists, key=len) if any(len(each) > 1 for each in lists) else [each[0] for each in lists]
     known = all(FILAMENTS_MM[0] <= each <= FILAMENTS_MM[1] for each in said)
     return tuple(1e-3 * each for each in said) if known else ()
 
 
 def compensates(text: str) -> bool:
-    """Whether M221 is the slicer's own: ideaMaker writes E without its compensation of the filament, which M221 then says."""
+    """Whether the slicer uses M221 itself: ideaMaker leaves its filament compensation out of E and gives it by M221."""
     return slicer_of(text) == "ideaMaker"
 
 
@@ -130,7 +132,7 @@ def marked(text: str) -> bool:
 
 
 def start_ends(text: str) -> int:
-    """The line from which on a file without marks is the slicer's own; 0 where nothing says it."""
+    """The line at which the slicer's own code begins in a file without layer marks; 0 if nothing shows it."""
     last = 0
     for match in _START_ENDS.finditer(text):
         last = match.start()
@@ -138,7 +140,7 @@ def start_ends(text: str) -> int:
 
 
 def usual_height(text: str) -> float | None:
-    """Height of most layers [m], where the file says it."""
+    """Height of most layers [m], if the file states it."""
     match = _LAYER_HEIGHT.search(text)
     return 1e-3 * float(match[1]) if match and float(match[1]) > 0.0 else None
 
@@ -149,14 +151,14 @@ def is_volume(text: str) -> bool:
 
 
 def is_relative(text: str) -> bool:
-    """Whether E counts from the move before, by the numbers themselves, where neither M82 nor M83 says it."""
+    """Whether E is relative, judged by its numbers, in a file with neither M82 nor M83."""
     if _SAID.search(text):
         return False
     first = _ANY_LAYER.search(text)
     rises = falls = equal = 0
     before: float | None = None
     for match in islice(_FILAMENT.finditer(text, first.end() if first else 0), _LOOKED_AT):
-        if match[1] is None:  # G92 begins anew
+        if match[1] is None:  # G92 resets E
             before = None
             continue
         number = float(match[1])

@@ -1,6 +1,6 @@
-"""Planar G-code as slicers write it: what is extruded where.
+"""Reads planar G-code as slicers write it: what is extruded, and where.
 
-Nothing is kept of the printer that the file was made for. Arcs become polylines.
+Nothing specific to the printer that the file was made for is kept. Arcs become polylines.
 """
 
 from __future__ import annotations
@@ -27,33 +27,33 @@ from planner.toolpath.gcode.arcs import NoArc, arc_by_centre, centre_by_radius
 from planner.toolpath.gcode.marks import NUMBER, OWN, PURGE
 
 LARGEST_FILE = GCODE_BYTES.most
-FARTHEST = 100.0  # m: a hall
-_MORE = 1.25  # times the length that can be planned, after which the rest of a file is not read
+FARTHEST = 100.0  # m: the size of a hall
+_MORE = 1.25  # × the longest print that can be planned: beyond this, the rest of a file is not read
 _LEVEL = 1e-6  # m by which z may change in a level move
 _INCH = 25.4e-3
-_FAST = re.compile(rf"G[01]((?: [XYZEF]{NUMBER})+) *(?=;|$)")  # nearly all lines
+_FAST = re.compile(rf"G[01]((?: [XYZEF]{NUMBER})+) *(?=;|$)")  # matches nearly all lines
 _LINE = re.compile(r"(?:N\d+\s*)?([GMTP])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
-# a small e behind a digit is an exponent, which G-code does not have: read as E it would be another extrusion
+# a lower-case e after a digit is an exponent, which G-code does not have; read as E, it would be another extrusion
 _WORDS = re.compile(rf"\s*([A-Za-z])\s*({NUMBER})(?=\s|[A-Za-df-z]|$)\s*")
-_MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # a macro's name of a printer's own firmware, and marks
-_OTHER_TOOLS = re.compile(rf":({NUMBER})")  # whose diameters stand behind the first one's, as in M200 D1.75:2.85
-_ROTARY = "ABC"  # axes that turn the part or the nozzle, and
-_FURTHER = "UVW"  # those that machines have besides
+_MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # macro names of printers' firmware, and lines with @ or %
+_OTHER_TOOLS = re.compile(rf":({NUMBER})")  # their diameters follow the first one's, as in M200 D1.75:2.85
+_ROTARY = "ABC"  # axes that turn the part or the nozzle
+_FURTHER = "UVW"  # further axes that machines may have
 _AS_WAYPOINTS = "write its points and normals as waypoints: x y z nx ny nz a line, layers.source.waypoints"
 _BRACKETS = re.compile(r"\([^()]*\)")
 _HOMING = {"G28", "G161", "G162"}
 _AXES = re.compile(r"[XYZ]\s*[-+.\d]")
-_TOOLS = 100  # greater numbers are no tools: T255 and T1000 mean other things to Bambu's printers
+_TOOLS = 100  # tool numbers are below this: T255 and T1000 mean other things to Bambu's printers
 _BINARY = b"GCDE"  # how PrusaSlicer's binary files begin
 _PLATE = re.compile(r"Metadata/plate_\d+\.gcode")
 
 
 @dataclass(frozen=True)
 class Thread(ReadOnlyArrays):
-    """What is extruded without interruption, level or rising.
+    """An uninterrupted extrusion, level or rising.
 
-    points (n, 3) [m], n at least 2; filament (n - 1) [m] pushed and lines (n - 1) of the file, of each step
-    height [m] where a comment says it; kind as a comment says it, or nothing, and what that is beside the part; tool
+    points (n, 3) [m], n at least 2; for each step, the filament (n - 1) [m] pushed and the line (n - 1) of the file
+    height [m] if a comment gives it; kind as a comment gives it, or empty; share: see `marks.share_of`; tool
     """
 
     points: Array
@@ -79,16 +79,16 @@ class Thread(ReadOnlyArrays):
 class GcodeFile:
     """What a file extrudes, in its order.
 
-    before, after, between  moves that extrude in the printer's own code, which are left out
-    passed   commands that were passed over from the first layer on, and how often
-    speeds   least and greatest speed of extruding moves [m/s]; empty where the file gives none
-    slicer   what wrote the file, if it says so; marked: it says where layers begin
-    height   of most layers [m], if it says so
-    volume   E is a volume, in mm^3, not a length: a filament of 1 mm^2
-    guessed  E counts from the move before, as the numbers say and no command
-    flow     of M221, where it is not all
-    filament diameters [m] of what E counts, that of tool 0 first; empty where the file does not say
-    counted  what M221 says where that is the slicer's own, each value once: E is counted by it
+    before, after, between  numbers of extruding moves in the printer's own code, which are left out
+    passed   commands skipped from the first layer on, and how often
+    speeds   least and greatest speed of extruding moves [m/s]; empty if the file gives none
+    slicer   the program that wrote the file, if stated; marked: whether comments say where layers begin
+    height   of most layers [m], if stated
+    volume   whether E is a volume in mm^3, not a length: as for a filament of 1 mm^2
+    guessed  whether E is relative by the look of its numbers, without a command
+    flow     set by M221 for the printer; 1 is full flow
+    filament diameters [m] that E refers to, tool 0 first; empty if not stated
+    counted  values of M221 by which E is multiplied, each once, if the slicer uses M221 for its own compensation
     """
 
     threads: tuple[Thread, ...]
@@ -112,12 +112,14 @@ def read_gcode(
 ) -> GcodeFile:
     """Read a file of G-code; arcs become chords that leave them by at most `chord_tolerance` [m].
 
-    Read are moves (G0 to G3), units (G20, G21), absolute and relative coordinates (G90, G91, M82, M83), G92, tools and
-    M200. Where slicers mark layers in comments, the printer's own lines before the first and after the last are left out,
-    whatever they are. Other commands are passed over and counted. A packed file of Bambu Studio (3MF) is unpacked.
-    `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
-    Raises InputError with file and line for a line that cannot be read, that a level print has no place for, or from which on
-    a quarter more than `longest` [m], that can be planned, is extruded: some may be left out.
+    It follows moves (G0 to G3), units (G20, G21), absolute and relative coordinates (G90, G91, M82, M83), G92, tools
+    and M200. Where slicers mark layers in comments, the printer's own lines before the first and after the last layer
+    are left out, whatever they are. Other commands are skipped and counted. A packed file of Bambu Studio (3MF) is
+    unpacked.
+    `where(reason, hint=...)` makes the InputError for a fault of the file as a whole.
+    Raises InputError with file and line for a line that cannot be read or does not fit a level print, and for the line
+    at which the extruded length exceeds `longest` [m], the most that can be planned, by a quarter: the margin is for
+    parts that may be left out.
     """
     complain = partial(InputError, file=path) if where is None else where
     text = text_of(path, complain)
@@ -131,7 +133,7 @@ def read_gcode(
             raise machine.lost
         if any(machine.others.values()):
             moved = ", ".join(axis for axis, value in machine.others.items() if value)
-            raise complain(f"{path.name} extrudes nothing by E, and moves {moved}", hint=_AS_WAYPOINTS)
+            raise complain(f"{path.name} extrudes nothing by E, but moves {moved}", hint=_AS_WAYPOINTS)
         raise complain(f"{path.name} extrudes nothing", hint="G-code of a slicer, with E")
     slow, fast = machine.speeds
     return GcodeFile(
@@ -153,7 +155,7 @@ def read_gcode(
 
 
 def text_of(path: Path, complain: Complaint) -> str:
-    """The text of a file of G-code, unpacked; signs that are no UTF-8 may stand in comments. Raises InputError."""
+    """The text of a G-code file, unpacked; comments may hold bytes that are not UTF-8. Raises InputError."""
     data = read_bytes(path, LARGEST_FILE, complain)
     if data.startswith(b"PK\x03\x04"):
         data = _unpacked(path, data, complain)
@@ -178,7 +180,7 @@ def text_of(path: Path, complain: Complaint) -> str:
 
 
 def _unpacked(path: Path, data: bytes, complain: Complaint) -> bytes:
-    """The G-code of the one plate in a packed file."""
+    """The G-code of the only plate in a packed file."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as packed:
             plates = [info for info in packed.infolist() if _PLATE.fullmatch(info.filename)]
@@ -186,12 +188,12 @@ def _unpacked(path: Path, data: bytes, complain: Complaint) -> bytes:
                 return packed.read(plates[0])
     except (zipfile.BadZipFile, OSError, EOFError, RuntimeError, NotImplementedError, ValueError):
         raise complain(f"{path.name} is a damaged archive") from None
-    hint = "unpack the one that is meant" if plates else "slice it first: a model is no G-code"
+    hint = "unpack the one you want" if plates else "slice it first: a model is not G-code"
     raise complain(f"{path.name} is an archive with G-code of {len(plates)} plates", hint=hint)
 
 
 def _lines(text: str) -> Iterator[str]:
-    """One line after the other: a list of millions would need more memory than the text."""
+    """The lines, one by one: a list of millions would need more memory than the text."""
     at = 0
     while (end := text.find("\n", at)) >= 0:
         yield text[at:end]
@@ -208,14 +210,14 @@ def _without_brackets(code: str) -> str:
 
 
 class _Machine:
-    """A printer that follows the lines: where it is, and what it has extruded."""
+    """A model of a printer that follows the lines: where it is, and what it has extruded."""
 
     def __init__(self, path: Path, chord_tolerance: float, text: str, first: int, longest: float) -> None:
         self.wrong: Complaint = partial(InputError, file=path)
         self.chord_tolerance = chord_tolerance
         self.marked = marks.marked(text)
         self.moves, self.length, self.longest = 0, 0.0, longest
-        self.first = first  # line from which on all is the print's, in a file without marks
+        self.first = first  # line at which the print begins in a file without marks
         self.printing = not self.marked and first == 0
         self.ended = False
         self.threads: list[Thread] = []
@@ -223,22 +225,22 @@ class _Machine:
         self.passed: Counter[str] = Counter()
         self.lost: InputError | None = None
         self.speeds = (math.inf, 0.0)
-        self.x = self.y = self.z = math.nan  # nobody knows before it is said
-        self.x_of_0 = self.y_of_0 = self.z_of_0 = 0.0  # where lines count from: G92 changes that, and moves nothing
+        self.x = self.y = self.z = math.nan  # unknown until a line gives them
+        self.x_of_0 = self.y_of_0 = self.z_of_0 = 0.0  # origin of the lines' coordinates: G92 moves it, not the nozzle
         self.filament = 0.0
         self.unit = 1e-3
         self.relative = False
         self.guessed = marks.is_relative(text)
-        self.filament_relative: bool | None = True if self.guessed else None  # None: as the other axes
+        self.filament_relative: bool | None = True if self.guessed else None  # None: like the other axes
         self.volume = marks.is_volume(text)
         self.flow = 1.0
         self.compensated = marks.compensates(text)
-        self.flows: dict[int, float] = {}  # of each tool, by which E is counted then, and
-        self.share_of_e, self.counted = 1.0, set[float]()  # that of this one, and those of all that was extruded
+        self.flows: dict[int, float] = {}  # factor on E of each tool, if compensated
+        self.share_of_e, self.counted = 1.0, set[float]()  # this tool's, and all that were in use while extruding
         self.speed = math.nan
         self.plane = "G17"
-        self.others = dict.fromkeys(_ROTARY + _FURTHER, 0.0)  # where other axes are, and
-        self.moved, self.turned = "", ""  # which of them move in this line, which of the rotary ones are not at 0
+        self.others = dict.fromkeys(_ROTARY + _FURTHER, 0.0)  # positions of the other axes
+        self.moved, self.turned = "", ""  # those that move in this line, and rotary ones that are not at 0
         self.tool = 0
         self.height: float | None = None
         self.kind, self.share = "", ""
@@ -297,7 +299,7 @@ class _Machine:
             if _MACRO.match(code) and not re.match(rf"[A-Z]\s*{NUMBER}", code, re.IGNORECASE):
                 self._pass(code.split()[0])
             elif self.printing:
-                raise self._wrong(f"{code[:40]!r} is no command", "G or M and its number first")
+                raise self._wrong(f"{code[:40]!r} is not a command", "begin with G or M and its number")
             return
         letter, name, rest = match[1].upper(), match[2].lstrip("0") or "0", match[3]
         command = f"{letter}{name}"
@@ -305,7 +307,7 @@ class _Machine:
             self.commands[command](rest)
         elif letter == "T":
             self._take(name)
-        elif letter == "P":  # Prusa's printers of several tools park one so
+        elif letter == "P":  # Prusa's multi-tool printers park a tool this way
             self.close()
             self._pass(command)
         elif letter == "G" and self.printing and name in ("5", "5.1", "6") and _AXES.search(rest.upper()):
@@ -314,7 +316,7 @@ class _Machine:
             self._pass(command)
 
     def _pass(self, command: str) -> None:
-        """Count what is passed over; nobody asks what start and end code hold."""
+        """Count a skipped command, except in start and end code, whose contents do not matter."""
         if self.printing:
             self.passed[command] += 1
 
@@ -322,7 +324,7 @@ class _Machine:
         return self.wrong(reason, line=self.number, hint=hint)
 
     def _remark(self, text: str) -> None:
-        """What a comment says of what follows."""
+        """Interpret a comment on the lines that follow."""
         if marks.LAYER.fullmatch(text):
             self.printing, self.ended = True, False
             self._close_level()
@@ -343,12 +345,12 @@ class _Machine:
             self.height = height if height > 0.0 else None
 
     def _close_level(self) -> None:
-        """A layer ends here; but a spiral goes on through its layers."""
+        """End the thread at the end of its layer, unless it is a spiral, which runs on through the layers."""
         if self._z and self._z[-1] - self._z[0] <= _LEVEL:
             self.close()
 
     def _share_out(self) -> None:
-        """What is printed from here on belongs to something else: another thread."""
+        """End the thread if the following lines belong to something else, such as support instead of the part."""
         share = PURGE if self.stretches else marks.share_of(self.kind)
         if share != self.share:
             self.close()
@@ -370,11 +372,11 @@ class _Machine:
         return found
 
     def _twice(self, letter: str) -> InputError:
-        return self._wrong(f"{letter} stands in this line twice")
+        return self._wrong(f"{letter} occurs twice in this line")
 
     # What changes how lines are read
     def _take(self, tool: str) -> None:
-        """Another tool: what prints next is its own thread."""
+        """Change the tool, which begins a new thread."""
         self.close()
         number = int(float(tool))
         if number < _TOOLS:
@@ -388,17 +390,17 @@ class _Machine:
         self.unit = unit
 
     def _take_volume(self, rest: str) -> None:
-        """M200: E is a volume where D is a diameter or S is 1, a length where either is 0; D0 counts for more than S1."""
+        """M200: E is a volume if D is a diameter or S is 1, a length if either is 0; D0 overrides S1."""
         words, volume = self._words(_OTHER_TOOLS.sub("", rest)), self.volume
         if "D" in words:
             of_tools = {float(diameter) > 0.0 for diameter in (words["D"], *_OTHER_TOOLS.findall(rest))}
             if len(of_tools) > 1:
-                raise self._wrong("E is a volume of some tools alone", "one of both in all of a file")
+                raise self._wrong("E is a volume for some tools only", "one or the other throughout the file")
             volume = of_tools.pop()
         if "S" in words and words.get("D") != 0.0:
             volume = words["S"] > 0.0
         if volume != self.volume and (self.threads or self._pushed):
-            raise self._wrong("E becomes a volume here, or a length again", "one of both in all of a file")
+            raise self._wrong("E changes here between a length and a volume", "one or the other throughout the file")
         self.volume = volume
 
     def _take_flow(self, rest: str) -> None:
@@ -420,7 +422,7 @@ class _Machine:
         self.filament_relative = relative
 
     def _retract(self, rest: str) -> None:
-        if not rest.strip():  # with words it is a temperature or an offset of a tool
+        if not rest.strip():  # with words, it sets a temperature or an offset of a tool
             self.close()
 
     def _home(self, rest: str) -> None:
@@ -431,7 +433,7 @@ class _Machine:
             setattr(self, f"{axis.lower()}_of_0", 0.0)
 
     def _set(self, rest: str) -> None:
-        """G92: here is what is said, all axes at 0 if nothing is; what is printed already stays where it is."""
+        """G92: set the current position, or all axes to 0 if none is given; printed lines stay where they are."""
         words = self._words(rest) or dict.fromkeys("XYZE", 0.0)
         self.others.update({axis: words[axis] for axis in self.others if axis in words})
         for axis in "XYZ":
@@ -446,7 +448,7 @@ class _Machine:
 
     # Moves
     def _plain(self, text: str) -> None:
-        """A move along a line, whose words are known to be well formed."""
+        """A straight move whose words are known to be well formed."""
         self.moved = ""
         tokens = text.split()
         words = {token[0]: float(token[1:]) for token in tokens}
@@ -462,7 +464,7 @@ class _Machine:
             self._line(words)
 
     def _take_others(self, words: dict[str, float]) -> None:
-        """Follow axes that a level print has no place for."""
+        """Track the axes that a level print does not use."""
         self.moved = ""
         for axis, before in self.others.items():
             if axis in words:
@@ -479,7 +481,7 @@ class _Machine:
             raise self._wrong(f"material flows with {axis} at {self.others[axis]:g}", _AS_WAYPOINTS)
 
     def _move_words(self, rest: str) -> dict[str, float] | None:
-        """Words of a move; None in start code whose numbers the printer fills in."""
+        """Words of a move; None in start code with placeholders that the printer fills in."""
         try:
             return self._words(rest)
         except InputError:
@@ -488,7 +490,7 @@ class _Machine:
             return None
 
     def _goal(self, words: dict[str, float]) -> tuple[float, float, float, float]:
-        """Where a move ends, and the filament that it pushes [m]."""
+        """Where a move ends, and the filament it pushes [m]."""
         unit, x, y, z, pushed = self.unit, self.x, self.y, self.z, 0.0
         if "X" in words:
             x = unit * words["X"] + (x if self.relative else self.x_of_0)
@@ -536,7 +538,7 @@ class _Machine:
         x, y, z, pushed = self._goal(words)
         x0, y0, z0 = self.x, self.y, self.z
         self.x, self.y, self.z = x, y, z
-        if pushed <= 0.0:  # a lift along a spiral, or another way to somewhere
+        if pushed <= 0.0:  # a spiral lift, or other travel
             self.close()
             return
         if not self._starts(x0, y0, z0, x, y, z):
@@ -568,12 +570,12 @@ class _Machine:
             points = arc_by_centre(start, end, centre, clockwise, self.chord_tolerance)
         except NoArc as error:
             raise self._wrong(str(error)) from None
-        if not (np.abs(points) <= FARTHEST).all():  # though its ends may be near
+        if not (np.abs(points) <= FARTHEST).all():  # even if its ends are near
             raise self._wrong(f"the arc comes farther than {FARTHEST:g} m from the origin")
         return points
 
     def _starts(self, x0: float, y0: float, z0: float, x: float, y: float, z: float) -> bool:
-        """Whether what is extruded on a move belongs to the print; it goes on with a thread, or begins one."""
+        """Whether an extruding move belongs to the print, as the next step of a thread or the first of a new one."""
         if not self.printing or self.share == OWN:
             self.close()
             if self.printing:
@@ -584,7 +586,7 @@ class _Machine:
                 self.before += 1
             return False
         if math.isnan(x0 + y0 + z0 + x + y + z):
-            lost = self._wrong("extrudes, and nothing says where the nozzle is", "X, Y and Z before it")
+            lost = self._wrong("extrudes before anything says where the nozzle is", "give X, Y and Z before it")
             if self.threads or self._pushed:
                 raise lost
             self.lost = self.lost or lost
@@ -593,7 +595,7 @@ class _Machine:
         if z - z0 < -_LEVEL:
             reason, hint = (
                 "z goes down while material flows",
-                "lines are level or rise, as in a spiral: no curved layers",
+                "lines must be level or rise, as in a spiral: curved layers cannot be read",
             )
             raise self._wrong(reason, hint)
         if self.speed == self.speed:
@@ -614,7 +616,7 @@ class _Machine:
         return True
 
     def _too_much(self) -> InputError:
-        """The print is longer than can be planned: what comes before this line fits, layer by layer."""
+        """The error for a print longer than can be planned; its hint says how many layers would fit."""
         if self.moves > GCODE_MOVES.most:
             return GCODE_MOVES.refusal(self.moves, "up to here there are", self._wrong, "print it in several files")
         self.close()
@@ -629,7 +631,7 @@ class _Machine:
         )
 
     def close(self) -> None:
-        """End what is being extruded."""
+        """End the current thread."""
         if self._pushed:
             points = np.column_stack([self._x, self._y, self._z])
             moved = np.abs(np.diff(points[:, :2], axis=0)).max(axis=1) > 0.0

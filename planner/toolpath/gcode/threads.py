@@ -1,4 +1,4 @@
-"""Which of a slicer's threads are printed, in what layers, how high, and what to say of the rest."""
+"""Chooses which of a slicer's threads to print, sorts them into layers with heights, and notes what is left out."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from planner.toolpath.gcode.marks import BRIM, IRONING, PURGE, SKIRT, SUPPORT
 from planner.toolpath.gcode.reader import GcodeFile, Thread
 
 SAME_LEVEL = 5e-6  # m: z of one layer differs by less, however it is rounded
-SIZES = (1e-5, 50e-3)  # m: widths and heights of beads that can be meant
-STEEPEST = 0.25  # rise of a line over its length: a spiral's is far below, and the nozzle stays upright
-_ROUNDED = 2e-5  # m by which a short step may rise, as z is written
+SIZES = (1e-5, 50e-3)  # m: plausible widths and heights of beads
+STEEPEST = 0.25  # greatest rise / length of a line: a spiral is far below it, and the nozzle stays upright
+_ROUNDED = 2e-5  # m that a short step may rise at any slope, because files round z
 _PAUSES = frozenset(("M0", "M1", "M25", "M226", "M600", "M601", "PAUSE"))  # stops, and changes of filament
-_LOW = 0.7  # of its place above the bed, a first layer's height: then it lies on nothing
-_ODD = 1.5  # times the usual height, or its part: a rise that may be no height
-_NAMED = 4  # commands that a note names, and lines
+_LOW = 0.7  # × the height of its top above the bed: a thinner first layer hangs in the air
+_ODD = 1.5  # factor from the usual height, up or down: a rise beyond it may not be the layer's height
+_NAMED = 4  # most commands or lines that a note lists
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PrintedThread:
 
 @dataclass(frozen=True)
 class ChosenThreads:
-    """What is printed of a file, in order, what is above as many layers as are asked for, and what there is to say of it."""
+    """The threads to print, in order, those above the requested layers, notes, and the share of length left out."""
 
     steps: tuple[PrintedThread, ...]
     above: tuple[PrintedThread, ...]
@@ -45,11 +45,12 @@ class ChosenThreads:
 
 
 def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> ChosenThreads:
-    """Choose the threads that are printed, and sort them into layers.
+    """Choose the threads to print, and sort them into layers.
 
-    Left out is what the problem leaves out, all above its number of layers, and pieces shorter than a bead is wide, up to
-    the share of the length that the problem allows. Where z goes down, as between objects that are printed one after
-    another, the threads are printed by height. Raises InputError where too much would be left out, or too little is left.
+    This leaves out the kinds that the problem leaves out, everything above its number of layers, and pieces shorter
+    than a bead is wide, up to the share of the length that the problem allows. Where z goes down, as between objects
+    printed one after another, the threads are sorted by height. Raises InputError if too much would be left out, or too
+    little is left.
     """
     file = spec.source.gcode
     notes = [*_of_file(problem, file, read), *_of_filament(problem, spec, read)]
@@ -87,7 +88,7 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> ChosenTh
 
 
 def _of_file(problem: Problem, file: Path, read: GcodeFile) -> Iterator[str]:
-    """What of the file was passed over as the printer's own, and what it leaves unsaid."""
+    """Notes on what was skipped as the printer's own code, and on what the file does not state."""
     for count, where in (
         (read.before, "before the first layer"),
         (read.after, "after the last layer"),
@@ -96,28 +97,27 @@ def _of_file(problem: Problem, file: Path, read: GcodeFile) -> Iterator[str]:
         if count:
             yield f"{file.name}: {count} move{'s that extrude' if count > 1 else ' that extrudes'} {where} left out"
     if not read.marked and not read.before:
-        yield f"{file.name}: no comment says where a layer begins, so all that is extruded is read, from the first move on"
+        yield f"{file.name}: no comment says where a layer begins, so everything extruded is read, from the first move on"
     if read.passed:
         passed = sorted(read.passed, key=lambda each: each[0] not in _PAUSES)  # these first, then the most frequent
         named = ", ".join(f"{name} {count:,}" for name, count in passed[:_NAMED])
         rest = sum(count for _, count in passed[_NAMED:])
         more = f" and {rest:,} of {len(passed) - _NAMED} more kinds" if rest else ""
-        yield f"{file.name}: commands of the printer passed over since the first layer: {named}{more}"
+        yield f"{file.name}: printer commands ignored from the first layer on: {named}{more}"
     if read.guessed:
-        yield f"{file.name}: neither M82 nor M83 says how E counts; from the move before, as its numbers do"
+        yield f"{file.name}: neither M82 nor M83 says how E counts; it is taken from the move before, as its numbers suggest"
     if read.flow != 1.0:
-        yield f"{file.name}: M221 asks the printer for {read.flow:.0%} of its flow, which is its own matter"
+        yield f"{file.name}: M221 sets the printer's flow to {read.flow:.0%}; beads hold what E says"
     if read.counted:
         flows = ", ".join(f"{flow:.0%}" for flow in read.counted)
-        yield f"{file.name}: M221 is the slicer's own compensation of the filament: {flows} of E is laid"
+        yield f"{file.name}: M221 is the slicer's own filament compensation: {flows} of E is laid"
     tools = sorted({thread.tool for thread in read.threads})
     if len(tools) > 1 and not problem.cell.nozzles:
         yield f"{file.name}: tools {', '.join(map(str, tools))} print in turn; here one nozzle lays all of it"
 
 
 def diameter_of(tool: int, problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> float:
-    """Diameter [m] of the filament that E of a tool counts: what the problem says of the file, what the file says, or that of
-    the process."""
+    """Filament diameter [m] that a tool's E refers to: from the problem's source, else the file, else the process."""
     if spec.source.filament_diameter is not None:
         return spec.source.filament_diameter
     if not read.filament:
@@ -126,7 +126,7 @@ def diameter_of(tool: int, problem: Problem, spec: GcodeLayersSpec, read: GcodeF
 
 
 def _of_filament(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> Iterator[str]:
-    """What filament E counts, where that is not said once and for all."""
+    """Notes on the filament diameter that E refers to, where file and problem do not plainly agree."""
     file, own = spec.source.gcode.name, problem.process.filament_diameter
     if read.volume:
         return
@@ -134,20 +134,20 @@ def _of_filament(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> It
     used = _millimetres(diameter_of(tool, problem, spec, read) for tool in tools)
     if spec.source.filament_diameter is not None:
         if read.filament and (said := _millimetres(read.filament)) != used:
-            yield f"{file}: says that its E counts a filament of {said} mm; layers.source.filament_diameter_mm, {used} mm, is taken"
+            yield f"{file}: says that its E is for {said} mm filament; layers.source.filament_diameter_mm, {used} mm, is used"
     elif not read.filament:
-        yield f"{file}: does not say what filament its E counts; one of {used} mm is taken, process.filament_diameter_mm"
+        yield f"{file}: does not say what filament its E is for; {used} mm is used, from process.filament_diameter_mm"
     elif used != _millimetres([own]):
-        yield f"{file}: its E counts a filament of {used} mm, as it says; process.filament_diameter_mm is what yours pushes"
+        yield f"{file}: its E is for {used} mm filament, as it says; process.filament_diameter_mm is what your extruder pushes"
 
 
 def _millimetres(diameters: Iterable[float]) -> str:
-    """Diameters [m] in words, each once."""
+    """Diameters [m] as text in millimetres, each once."""
     return ", ".join(dict.fromkeys(f"{1e3 * each:.4g}" for each in diameters))
 
 
 def _without_shares(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> tuple[list[Thread], list[str]]:
-    """The threads without what the problem leaves out by its kind."""
+    """The threads without the kinds that the problem leaves out; and notes."""
     source, notes = spec.source, []
     kept = [thread for thread in read.threads if thread.share not in source.leave_out]
     for share in (PURGE, SKIRT, BRIM, SUPPORT, IRONING):
@@ -166,10 +166,10 @@ def _without_shares(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) ->
 
 
 def _levelled(file: Path, threads: list[Thread], usual: float | None) -> tuple[list[Thread], list[str]]:
-    """The threads, those that rise within their layer laid level at its height.
+    """The threads, with those that rise within their layer levelled at its height; and notes.
 
-    A scarf begins on the layer below, beside lines that stand as high as the layer already: there the nozzle would touch
-    both. Its flow grows as it rises, and so does the bead.
+    A scarf joint begins on the layer below, next to lines that already have the layer's full height: there the nozzle
+    would touch both. Its flow grows as it rises, and so does the bead.
     """
     out = []
     for thread in threads:
@@ -187,7 +187,7 @@ def _levelled(file: Path, threads: list[Thread], usual: float | None) -> tuple[l
 
 
 def _check_slope(file: Path, thread: Thread) -> None:
-    """Raise InputError, with file and line, where a thread rises steeply."""
+    """Raise InputError, with file and line, where a thread rises too steeply."""
     rise, way = np.diff(thread.points[:, 2]), np.hypot(*np.diff(thread.points[:, :2], axis=0).T)
     steep = rise > np.maximum(STEEPEST * way, _ROUNDED)
     if steep.any():
@@ -201,7 +201,7 @@ def _check_slope(file: Path, thread: Thread) -> None:
 
 
 def _by_height(file: Path, threads: list[Thread]) -> tuple[list[Thread], list[str]]:
-    """The threads in the order of their heights, if z goes down between them."""
+    """The threads, sorted by height if z goes down between any two of them; and notes."""
     falls = [after for before, after in zip(threads[:-1], threads[1:], strict=True) if after.z < before.z - SAME_LEVEL]
     if not falls:
         return threads, []
@@ -214,13 +214,13 @@ def _by_height(file: Path, threads: list[Thread]) -> tuple[list[Thread], list[st
 
 
 def _levels(threads: Sequence[Thread]) -> Array:
-    """The heights (n) [m] at which layers end, rising."""
+    """Heights (n) [m] of the tops of the layers, ascending."""
     heights = np.sort([thread.z for thread in threads])
     return heights[np.append(True, np.diff(heights) > SAME_LEVEL)]
 
 
 def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: float | None) -> Iterator[PrintedThread]:
-    """The threads with their layers and heights: those of a comment, else what the layer's rise and flow say."""
+    """The threads with their layers and heights; heights come from comments, else from the layer's rise and flow."""
     layers = np.searchsorted(levels, [thread.z + SAME_LEVEL for thread in threads]) - 1
     heights = _heights(threads, layers, levels, usual)
     for thread, layer in zip(threads, layers.tolist(), strict=True):
@@ -243,11 +243,11 @@ def _in_layers(threads: Sequence[Thread], levels: Array, file: Path, usual: floa
 
 
 def _heights(threads: Sequence[Thread], layers: Ints, levels: Array, usual: float | None) -> Array:
-    """Heights (n) [m] of layers that no comment tells: how far each rises over the one below.
+    """Heights (n) [m] of layers without a height in a comment: how far each rises above the one below.
 
-    Over a raft there is a gap, after it a layer that rises less than it is high, and a spiral's layer ends with its last
-    turn. So where a rise is not as usual, the flow decides: a layer is as high as usual if its beads are then nearer to
-    others in width.
+    Above a raft there is a gap, followed by a layer that rises by less than its height, and a spiral's layer ends with
+    its last turn. So where a rise is unusual, the flow decides: the layer has the usual height if that brings the width
+    of its beads closer to that of the others.
     """
     rises = np.diff(levels, prepend=0.0)
     if usual is None:
@@ -267,15 +267,15 @@ def _heights(threads: Sequence[Thread], layers: Ints, levels: Array, usual: floa
 def _without_specks(
     problem: Problem, spec: GcodeLayersSpec, steps: list[PrintedThread]
 ) -> tuple[list[PrintedThread], list[str], float]:
-    """The threads that are as long as a bead is wide, what is told of the others, and their share of the length."""
+    """The threads at least as long as a bead is wide, notes on the shorter ones, and their share of the length."""
     width, name = problem.process.bead.width, spec.source.gcode.name
     lengths = np.array([step.thread.length for step in steps])
     short = lengths < width
     if not short.any():
         return steps, [], 0.0
     if short.all():
-        reason = f"all that {name} extrudes is shorter than a bead is wide"
-        raise problem.error("process.bead.width_mm", reason, "shorter pieces are specks, which are left out")
+        reason = f"everything that {name} extrudes is in pieces shorter than a bead is wide"
+        raise problem.error("process.bead.width_mm", reason, "shorter pieces are left out as specks")
     share, most = float(lengths[short].sum() / lengths.sum()), spec.source.crumbs
     count = int(short.sum())
     pieces = f"{count} piece{'s' if count > 1 else ''} shorter than a bead is wide, {width * 1e3:g} mm"
@@ -289,7 +289,7 @@ def _without_specks(
         )
     where = ", ".join(map(str, lines[:_NAMED])) + (", ..." if count > _NAMED else "")
     kept = [step for step, leave in zip(steps, short, strict=True) if not leave]
-    # a layer of specks alone is none
+    # a layer of nothing but specks does not count
     numbers = {layer: i for i, layer in enumerate(sorted({step.layer for step in kept}))}
     kept = [PrintedThread(step.thread, numbers[step.layer], step.height) for step in kept]
     note = f"{name}: {pieces}, left out, {share:.2%} of the length (line{'s' if count > 1 else ''} {where})"

@@ -1,4 +1,4 @@
-"""Faces that make up a body: the nearest place on them, exactly, and on which side of them a point is."""
+"""Faces that make up a body: the exact nearest place on them, and on which side of them a point lies."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ from planner.toolpath.step.files import Face
 from planner.toolpath.step.splines import SplineArrays, SplineSet, fill_normal, foot_of
 
 # ----------------------------------------------------------------------------------------------------
-# Inside or outside of the loops that trim faces, and what is known along their rims.
+# Inside or outside the loops that trim faces, and data along their rims.
 
 Raster = NDArray[np.int8]
 
-ON_THE_RIM = 5e-6  # m: so near a face's rim a place counts as on it; its edges are known to 2 um
-CELLS = 64  # of a raster of each face, along both sides, which tells most places inside from those outside
+ON_THE_RIM = 5e-6  # m: a place this near a face's rim counts as on it; its edges are known to 2 um
+CELLS = 64  # along each side of a face's raster, which separates most inside places from outside ones
 _MIXED = 2
 _SAME = 1.0 - 1e-6  # cosine between normals that count as one
 
 
 def shared(loops: Sequence[Ints], points: Array, following: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether the edges of loops, by their numbers, stand in another loop too, or twice in one, or are a pole (m); and
-    whether they are a pole (m), which has no length."""
+    """For each point of loops, whether its edge is shared (m), and whether it lies at a pole (m), an edge of no length.
+
+    An edge is shared if its number also occurs in another loop, or twice in one, or if it is a pole.
+    """
     edge = np.concatenate(loops)
     offsets = np.concatenate([[0], np.cumsum([len(on) for on in loops])[:-1]])
     begins = np.concatenate(
@@ -43,15 +45,15 @@ def shared(loops: Sequence[Ints], points: Array, following: Ints) -> tuple[NDArr
     np.add.at(lengths, edge, np.linalg.norm(points[following] - points, axis=1))
     pole = lengths[edge] < ON_THE_RIM
     joined = np.isin(edge, numbers[runs > 1]) | pole
-    if pole.any():  # the edges that end there stand there too
+    if pole.any():  # this includes points of the edges that end there
         pole = cKDTree(points[pole]).query(points)[0] <= ON_THE_RIM
     return joined, pole
 
 
 def normals_met(points: Array, normals: Array) -> Array:
-    """For points (m, 3) of rims the sum (m, 3) of the normals at the same place, each direction once.
+    """For points (m, 3) of rims, the sum (m, 3) of the normals at the same place, each direction once.
 
-    Each once, for of two nearly opposite ones the sum points out of the material only if they weigh the same.
+    Once, because the sum of two nearly opposite normals points out of the material only if their weights are equal.
     """
     pairs = cKDTree(points).query_pairs(2.0 * ON_THE_RIM, output_type="ndarray")
     pairs = pairs[(normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(axis=1) < _SAME]
@@ -122,7 +124,7 @@ def _within(places: Array, uv: Array, following: Ints, first: int, last: int) ->
 
 @inner_njit
 def is_inside(face: int, u: float, v: float, rims: RimArrays) -> bool:
-    """Whether a place lies within the loops of a face; its raster answers, or the even-odd rule."""
+    """Whether a place lies within the loops of a face, by its raster or, in mixed cells, by the even-odd rule."""
     low, high, raster = rims.low, rims.high, rims.raster
     if u < low[face, 0] or u > high[face, 0] or v < low[face, 1] or v > high[face, 1]:
         return False
@@ -145,14 +147,14 @@ def all_inside(face: Ints, uv: Array, rims: RimArrays) -> NDArray[np.bool_]:
 # ----------------------------------------------------------------------------------------------------
 # The search for the nearest place on faces, point by point, compiled.
 
-SHELL = 10e-3  # m of material beneath open faces, where nothing is said of it
+SHELL = 10e-3  # m: default thickness of the material beneath open faces
 _ASIDE = 1e-8  # m, by which a perpendicular may miss a point
 _TINY = 1e-300
 
 
 @inner_njit
 def _perpendicular(x: Array, d: Array) -> bool:
-    """Whether a place with derivatives d (6, 3) is the foot of a perpendicular from x (3), and not where a search ended."""
+    """Whether a place with derivatives d (6, 3) is the foot of a perpendicular from x (3), not just a search's end."""
     gu = gv = a = b = 0.0
     for k in range(3):
         e = d[0, k] - x[k]
@@ -222,7 +224,7 @@ def signed(
     """Signed distances (n,) [m] and the normals (n, 3) at the nearest places.
 
     points (n, 3) [m]; near (n, c): the samples nearest to each; side (k) as in `FaceBody`; shell: thickness of the
-    material beneath the faces [m], without end where they enclose a body
+    material beneath the faces [m], infinite where they enclose a body
     """
     sample_face, sample_uv, sample_points = samples
     knots, poles, table, domain = splines
@@ -233,7 +235,7 @@ def signed(
     hit = np.empty(near.shape[1], dtype=np.bool_)
     for i in range(len(points)):
         best, above, straight = np.inf, 1.0, True
-        at_sample = 0.0  # squared distance of the nearest sample: a foot farther away is another place's
+        at_sample = 0.0  # squared distance to the nearest sample: a foot farther away belongs to another place
         for k in range(3):
             at_sample += (points[i, k] - sample_points[near[i, 0], k]) ** 2
         for c in range(near.shape[1]):
@@ -260,7 +262,7 @@ def signed(
                         normals[i, k] = side[face] * normal[k]
                         above += normals[i, k] * (points[i, k] - d[0, k])
                 continue
-            if known:  # its rim has been searched
+            if known:  # its rim has already been searched
                 continue
             for a in range(rim_first[face], rim_first[face + 1]):
                 b = rim_next[a]
@@ -299,12 +301,12 @@ def signed(
 
 
 # ----------------------------------------------------------------------------------------------------
-# Faces that make up a body: the nearest place on them, exactly, and on which side of them a point is.
+# Faces that make up a body: the exact nearest place on them, and on which side of them a point lies.
 
-_COARSEST, _FINEST, _SHARE = 5e-3, 1e-3, 0.01  # m between samples of a face, as a share of its size
+_COARSEST, _FINEST, _SHARE = 5e-3, 1e-3, 0.01  # m: limits of a face's sample spacing; its share of the face's size
 _MOST_ACROSS = 400  # samples of a face along u or v
-_CANDIDATES = 8  # samples near a point whose faces are looked at
-_AT_ONCE = 8192  # points whose nearest places one thread looks for
+_CANDIDATES = 8  # samples nearest to a point whose faces are tried
+_AT_ONCE = 8192  # points in one thread's block
 
 
 @dataclass(frozen=True)
@@ -319,7 +321,7 @@ class FacePlaces(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class FaceBody:
-    """Faces and what it takes to find the nearest of them.
+    """Faces with the data for finding the nearest place on them.
 
     splines, side (k)  of the faces
     raster (k, 64, 64) of the box [low, high] (k, 2) around each face's loops: 0 outside, 1 inside, 2 both
@@ -361,7 +363,7 @@ class FaceBody:
                 following.append(start + np.roll(np.arange(len(loop)), -1))
                 start += len(loop)
         rim_next = np.concatenate(following)
-        rim_points = np.ascontiguousarray(splines.points(owner, rim_uv))  # as copies are that go to other processes
+        rim_points = np.ascontiguousarray(splines.points(owner, rim_uv))  # as are the copies in other processes
         normals = side[owner, None] * splines.normals(owner, rim_uv)
         rim_shared, pole = shared([on for face in faces for on in face.edges], rim_points, rim_next)
         low, high = (np.array([f(points, axis=0) for points in rim]) for f in (np.min, np.max))
@@ -386,13 +388,13 @@ class FaceBody:
         )
         grids = [body._grid(k) for k in range(len(faces))]
         sample_face = np.concatenate([owner[~pole], *[np.full(len(g), k, dtype=np.int64) for k, g in enumerate(grids)]])
-        sample_uv = np.vstack([rim_uv[~pole], *grids])  # at a pole no foot can be looked for
+        sample_uv = np.vstack([rim_uv[~pole], *grids])  # no search for a foot can start at a pole
         tree = cKDTree(splines.points(sample_face, sample_uv))
         return cls(**{**vars(body), "sample_face": sample_face, "sample_uv": sample_uv, "tree": tree, "shell": shell})
 
     @property
     def rims(self) -> RimArrays:
-        """What kernels look at of the loops."""
+        """The arrays of the loops that kernels use."""
         return RimArrays(
             self.raster, self.low, self.high,
             self.rim_uv, self.rim_points, self.rim_normals, self.rim_shared, self.rim_next, self.rim_first,
@@ -440,14 +442,16 @@ class FaceBody:
         return FacePlaces(self.splines.points(face, uv), normals, np.asarray(face, dtype=np.int64), uv)
 
     def beneath(self, points: Array) -> FacePlaces:
-        """Feet of perpendiculars from points (n, 3) close to the faces; a little beyond an open rim, feet on the surface
-        that goes on there."""
+        """Feet of perpendiculars from points (n, 3) close to the faces.
+
+        Just beyond an open rim, they lie on the continued surface.
+        """
         _, near = self.tree.query(points, k=min(_CANDIDATES, self.tree.n))
         near = near.reshape(len(points), min(_CANDIDATES, self.tree.n))
         return self._feet(points, self.sample_face[near], self.sample_uv[near])
 
     def followed(self, points: Array, face: Ints, uv: Array) -> FacePlaces:
-        """The same, begun from places on faces (n, c) with parameters (n, c, 2), c to try for each."""
+        """The same, starting from c places for each point: faces (n, c) and parameters (n, c, 2)."""
         return self._feet(points, face, uv)
 
     def _feet(self, points: Array, face: Ints, uv: Array) -> FacePlaces:

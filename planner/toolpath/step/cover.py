@@ -1,7 +1,7 @@
 """Beads that cover faces of a STEP or IGES file, in layers along the faces' normals.
 
-A bead may cross from one face to another where these meet without an edge to be felt. The first layer's points and
-normals come exactly from the faces.
+A bead may cross from one face to another where they meet smoothly. The first layer's points and normals come
+exactly from the faces.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ from planner.toolpath.step.sampling import TOLERANCE, Sampling, TooMany, sample_
 from planner.toolpath.step.top import faces_shape
 from planner.toolpath.task import roll_zeros
 
-SMOOTH = np.radians(0.04)  # between normals along a shared edge: half of what the nozzle's axis may be off the normal
+SMOOTH = np.radians(0.04)  # between normals along a shared edge: half of what the tool axis may deviate from the normal
 
-_STEP = 2e-3  # m between the places on the faces that the curve is laid through
-_TURN = 0.2  # of the spacing, at most, is that step on rows: some eight in the half circle from one row to the next
+_STEP = 2e-3  # m between the places on the faces through which the curve runs
+_TURN = 0.2  # × the spacing: greatest such step on rows, about eight in the half circle from one row to the next
 _FEWEST = 12  # steps of a curve
-_AHEAD = 0.25  # of a step between waypoints, by which a curve may leave the faces' rim
+_AHEAD = 0.25  # × a step between waypoints: how far a curve may run beyond the faces' rim
 
-_QUARTER = 0.25  # of the spacing between points along the faces' edges
-_APART = 0.5  # of the spacing: so far apart are the source's points at most
-_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
-_FOLDED = 0.2  # of the way to a layer that folds: nearer to folding it is no layer
+_QUARTER = 0.25  # × the spacing: greatest distance between points along the faces' edges
+_APART = 0.5  # × the spacing: greatest distance between the source's points
+_PER_RUN = 10.0  # samples per run-in, which set the spacing at the bead's ends
+_FOLDED = 0.2  # least length of a short line in the last layer, relative to the faces; at 0 the layer folds
 
 
 def smooth_regions(faces: Sequence[Face]) -> list[list[Face]]:
-    """Groups of faces, in their order, that are joined by edges where the normal turns by less than SMOOTH.
+    """Groups of faces, in their order, joined by edges across which the normal turns by less than SMOOTH.
 
-    Over any other edge a nozzle on the normal would have to turn at one place: a bead ends there.
+    At any other edge a nozzle along the normal would have to turn on the spot, so a bead ends there.
     """
     points = [np.vstack([face.points(loop) for loop in face.loops]) for face in faces]
     normals = [np.vstack([face.normals(loop) for loop in face.loops]) for face in faces]
@@ -100,7 +100,7 @@ class FaceCurve(ReadOnlyArrays):
 
 
 def pieces_on_faces(body: FaceBody, waypoints: Array) -> list[Array]:
-    """Places (n, 3) along straight lines or smooth curves through waypoints (m, 3), cut where these leave the faces."""
+    """Places (n, 3) along straight lines or smooth curves through waypoints (m, 3), cut where they leave the faces."""
     if len(waypoints) < 2:
         return []
     path, chord = calm_path(waypoints)
@@ -114,7 +114,7 @@ def pieces_on_faces(body: FaceBody, waypoints: Array) -> list[Array]:
         there[~there] = body.rim_distance(at.face[~there], at.points[~there]) <= _AHEAD * float(np.median(step))
     owner = np.append(index, len(pieces) - 1)
     whole = np.ones(len(pieces), dtype=bool)
-    whole[owner[~there]] = False  # a step with a place beside the faces is left out
+    whole[owner[~there]] = False  # a step with a place off the faces is left out
     out = []
     starts = np.concatenate([[0], np.cumsum(pieces)])
     k = 0
@@ -130,7 +130,7 @@ def pieces_on_faces(body: FaceBody, waypoints: Array) -> list[Array]:
 
 
 def spread(points: Array, step: float) -> Array:
-    """Fewer places (k, 3), `step` [m] from each other, on the smooth curve through places (n, 3) that lie close together."""
+    """Fewer places (k, 3), `step` [m] apart, on the smooth curve through closely spaced places (n, 3)."""
     path, chord = calm_path(points)
     return np.asarray(path(np.linspace(0.0, chord[-1], max(int(np.ceil(chord[-1] / step)), _FEWEST) + 1))[:, :3])
 
@@ -138,8 +138,8 @@ def spread(points: Array, step: float) -> Array:
 def curve_on_faces(body: FaceBody, points: Array, tolerance: float, apart: float, ends: float) -> FaceCurve:
     """The smooth curve through places (n, 3) on faces: corners rounded within `tolerance`, all of it on the faces.
 
-    apart: greatest distance of the source's points; ends: of samples at the ends [m]. Raises TooRough
-    where no smooth curve keeps the tolerance.
+    apart, ends: greatest distance between the source's points, and between samples at the ends [m]. Raises TooRough
+    if no smooth curve keeps the tolerance.
     """
     at = body.beneath(points)
     curve = interpolate(at.points, at.normals, tolerance, apart, ends)
@@ -162,7 +162,7 @@ class FaceLayers:
     """The body, and the layers on it, each `height` [m] above the one before along the normals.
 
     tracks   of all beads in print order
-    solid    how many layers count as there; beneath the layer that is printed the body has grown everywhere
+    solid    how many layers count as printed: beneath the layer being printed, the body has grown by them everywhere
     """
 
     body: FaceBody
@@ -171,7 +171,7 @@ class FaceLayers:
     solid: int = 0
 
     def before(self, bead: int) -> FaceLayers:
-        """The surface when the first `bead` beads have been printed: the last one's layer lies on it."""
+        """The surface after the first `bead` beads: the one on which the last one's layer lies."""
         return replace(self, solid=self.tracks[bead - 1].layer if bead > 0 else 0)
 
     def signed_distance(self, points: Array) -> Array:
@@ -185,7 +185,7 @@ class FaceLayers:
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
         """Outward unit normals (n, 3) of the true faces at the feet of perpendiculars from tips (n, 3).
 
-        Feet are searched from the places of the bead's samples around arc lengths s (n).
+        The search for feet starts from the bead's samples around arc lengths s (n).
         """
         track = self.tracks[bead]
         after = np.clip(np.searchsorted(track.s, s), 1, len(track.s) - 1)
@@ -214,9 +214,9 @@ def lay_layers(
 
 
 def cover_faces(problem: Problem, spec: FaceLayersSpec) -> Toolpath:
-    """Cover the faces that are asked for, and lay the layers on them.
+    """Cover the requested faces, and lay the layers on them.
 
-    Raises InputError for a file that cannot be read, faces that are not there, and layers that would fold.
+    Raises InputError for a file that cannot be read, faces that do not exist, and layers that would fold.
     """
     process, part = problem.process, problem.part
     if part is None or part.step is None:
@@ -274,14 +274,15 @@ def _lines(problem: Problem, spec: FaceLayersSpec, region: Sequence[Face], body:
     except TooSmallError:
         return []
     except NotCoveredError as error:
-        reason, hint = f"does not go: {error}", "another distance, or another path"
+        reason, hint = f"does not work: {error}", "another distance, or another path"
     raise problem.error("layers.source.spacing_mm", reason, hint)
 
 
 def visits(body: FaceBody, source: FacesSpec) -> tuple[SampledSurface, list[Ints]]:
     """Samples of faces, and the order in which they are visited, in pieces.
 
-    Where no direction of rows is asked for, it is the one whose way crosses itself less often, and then is in fewer pieces.
+    If no direction of rows is requested, it is the one whose path crosses itself less often or, if equal, has fewer
+    pieces.
     Raises TooMany and TooManySamplesError.
     """
     asked = DIRECTION_NAMES[::-1] if source.direction is None else (source.direction,)
@@ -312,7 +313,7 @@ def _curve(problem: Problem, spec: FaceLayersSpec, body: FaceBody, line: Array) 
     at = body.beneath(line)
     bends = body.side[at.face, None] * body.splines.bends(at.face, at.uv)
     rise = spec.count * spec.height
-    room = 1.0 - bends * rise  # by how much a short line on the faces is longer in the last layer
+    room = 1.0 - bends * rise  # length of a short line in the last layer, relative to the faces
     if room.min() < _FOLDED:
         x, y, z = at.points[int(np.argmin(room.min(axis=1)))] * 1e3
         raise problem.error(
@@ -336,7 +337,7 @@ def _curve(problem: Problem, spec: FaceLayersSpec, body: FaceBody, line: Array) 
 
 
 def _in_turn(curves: list[tuple[FaceBody, FaceCurve, str]]) -> list[tuple[FaceBody, FaceCurve, str]]:
-    """The curves in an order and direction with little travel: always on to the nearest end."""
+    """The curves in an order and direction with little travel: the nearest end always comes next."""
     order = nearest_first([(curve.places.points, False) for _, curve, _ in curves])
     turned = ((*curves[k], back) for k, back in order)
     return [(body, curve.reversed() if back else curve, name) for body, curve, name, back in turned]

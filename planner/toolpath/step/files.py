@@ -1,6 +1,6 @@
 """Faces of a STEP or IGES file in the part frame, chosen by name or number.
 
-Another process reads the file, because a damaged one may end its reader.
+A separate process reads the file, because a damaged one may crash its reader.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from planner.problem.part import StepSpec
 from planner.toolpath.step.splines import SplineSet, SplineSurface
 
 Wanted = Sequence[int | str] | str
-_SHOWN = 12  # names of faces in a message
+_SHOWN = 12  # most face names in a message
 
-FARTHEST = 100.0  # m from the origin: a hall
-_WIDEST = 1e9  # of a surface's domain: files count in millimetres, radians, or from 0 to 1
+FARTHEST = 100.0  # m from the origin: the size of a hall
+_WIDEST = 1e9  # greatest width of a surface's domain: parameters are in millimetres or radians, or run from 0 to 1
 _READER = "planner.toolpath.step.reader"
 
 
 @dataclass(frozen=True)
 class Face(ReadOnlyArrays):
-    """One face (metres, part frame), as algorithms that cover faces see it.
+    """One face (metres, part frame), as seen by the algorithms that cover faces.
 
-    number    in the file, from 1; name as it stands there, often empty
+    number    in the file, from 1; name as given there, often empty
     loops     closed curves (m, 2) in u and v that trim it, the first point not repeated; the outer one first
-    edges     for each loop, the number of the edge that each point stands on (the first of the two where edges meet);
-              faces that share an edge share its number, and the places of its points
+    edges     for each loop, the number of the edge that each point lies on (where edges meet, of the one that begins);
+              faces that share an edge share its number and the positions of its points
     side      1 where du x dv points out of the material, -1 where it points into it
     """
 
@@ -47,7 +47,7 @@ class Face(ReadOnlyArrays):
 
     @property
     def title(self) -> str:
-        """What a message calls it."""
+        """Its name in messages."""
         return f"face {self.number} {self.name!r}" if self.name else f"face {self.number}"
 
     def points(self, uv: Array) -> Array:
@@ -60,7 +60,7 @@ class Face(ReadOnlyArrays):
 
 
 class Damaged(ValueError):
-    """What is wrong with a file, or with what is wanted of it, and what to do about it."""
+    """A fault of a file, or of what is requested from it, and what to do about it."""
 
     def __init__(self, reason: str, hint: str | None = None) -> None:
         self.reason, self.hint = reason, hint
@@ -68,9 +68,9 @@ class Damaged(ValueError):
 
 
 def choose_faces(wanted: Wanted, known: Sequence[tuple[int, str]], what: str) -> list[int]:
-    """Numbers of the faces that are wanted, in the order of `known` (their numbers and names); a name may be several's.
+    """Numbers of the wanted faces, in the order of `known` (numbers and names); several faces may share a name.
 
-    Raises Damaged for a face that is not there, with those that are.
+    Raises Damaged for a face that does not exist, listing those that do.
     """
     if isinstance(wanted, str):  # all
         return [number for number, _ in known]
@@ -89,21 +89,21 @@ def choose_faces(wanted: Wanted, known: Sequence[tuple[int, str]], what: str) ->
 
 
 class FacesRead(NamedTuple):
-    """Faces of a file, and sentences about what of it was not read, or was changed."""
+    """Faces of a file, and sentences about what was not read or was changed."""
 
     faces: tuple[Face, ...]
     notes: tuple[str, ...]
 
 
 def read_step(spec: StepSpec, apart: float, where: Complaint) -> tuple[Face, ...]:
-    """The faces alone of `read_faces`."""
+    """The faces of `read_faces`, without its notes."""
     return read_faces(spec, apart, where).faces
 
 
 def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
-    """The faces `spec.faces` of a file, in part frame; points of their edges at most `apart` [m] from each other.
+    """The faces `spec.faces` of a file, in part frame, with points on their edges at most `apart` [m] apart.
 
-    `where(reason, hint=...)` makes the InputError for what is wrong with the file.
+    `where(reason, hint=...)` makes the InputError for a fault of the file.
     """
     name = spec.file.name
     check_step(spec.file, where)
@@ -120,12 +120,12 @@ def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
         )
         finite = finite and all(map(_ascend, (face.surface.knots_u, face.surface.knots_v), face.surface.degrees))
         if not finite or not (np.abs(poles[:, :, :3] / poles[:, :, 3:]) <= FARTHEST).all():
-            raise where(f"{face.title} of {name} is no surface, or farther than {FARTHEST:g} m from the origin")
+            raise where(f"{face.title} of {name} is not a surface, or is farther than {FARTHEST:g} m from the origin")
     return FacesRead(tuple(faces), tuple(f"part.step: {name}: {note}" for note in answer["notes"]))
 
 
 def _ascend(knots: Array, degree: int) -> bool:
-    """Whether knots are those of a spline of a degree: none before the one in front of it, over a domain that has a length."""
+    """Whether knots suit a spline of this degree: they never decrease, and the domain has a positive, sane length."""
     return bool((np.diff(knots) >= 0.0).all() and 0.0 < knots[-degree - 1] - knots[degree] <= _WIDEST)
 
 

@@ -1,6 +1,6 @@
 """Reads faces from a STEP or IGES file with Open CASCADE: each an exact B-spline surface with the curves that trim it.
 
-It runs as a process of its own (`files.py`): a damaged file can end it at any place, without a word.
+It runs as a separate process (see `files.py`): a damaged file can crash it anywhere, without a message.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from planner.base.isolated import answer
 from planner.toolpath.step.files import Damaged, choose_faces
 from planner.toolpath.step.shapes import REPAIR, all_faces, subshapes
 
-_FEWEST = 3  # points of a loop
-_CHORD = 2e-3  # mm, by how much the straight lines between an edge's points may leave it
-_MOST_POINTS = 4000  # of an edge
-_LOOKS = 65  # places of an edge at which its bend is measured
+_FEWEST = 3  # points in a loop
+_CHORD = 2e-3  # mm: greatest deviation of the straight lines between an edge's points from the edge
+_MOST_POINTS = 4000  # on an edge
+_LOOKS = 65  # places on an edge at which its curvature is measured
 
 
 def read(request: dict[str, Any]) -> dict[str, Any]:
-    """Arrays of the faces that a request names (see `main`): of face k `k.poles` and the like, `faces`, how many, and `notes`.
+    """Arrays of the requested faces (see `answered`): `k.poles` etc. of face k, the number of `faces`, and `notes`.
 
     Raises Damaged.
     """
@@ -58,9 +58,9 @@ def _compound(faces: Sequence[Any]) -> Any:
 
 
 def _converted(faces: list[Any], loose: bool, sew: float) -> tuple[list[Any], list[str]]:
-    """The faces with B-spline surfaces, and what is to be told; those that only touch share their edges thereafter.
+    """The faces with B-spline surfaces, and notes; faces that only touch are sewn so that they share edges.
 
-    loose: their file joins none; else they are sewn only where one shares no edge. sew: mm between edges that are one.
+    loose: the file joins none; otherwise they are sewn only if one shares no edge. sew: mm between edges to be joined.
     """
     notes = []
     if len(faces) > 1 and (loose or _apart(faces)):
@@ -68,14 +68,14 @@ def _converted(faces: list[Any], loose: bool, sew: float) -> tuple[list[Any], li
         for face in faces:
             sewing.Add(face)
         sewing.Perform()
-        sewn = subshapes(sewing.SewedShape(), TopAbs_ShapeEnum.TopAbs_FACE)  # these know which way they look
+        sewn = subshapes(sewing.SewedShape(), TopAbs_ShapeEnum.TopAbs_FACE)  # these know their orientation
         places = [sewn.FindIndex(sewing.Modified(face)) for face in faces]
         lost = [face for face, place in zip(faces, places, strict=True) if not place]
         faces = [TopoDS.Face(sewn.FindKey(place)) for place in places if place] if not lost else faces
         joined, free = sewing.NbContigousEdges(), sewing.NbFreeEdges()
         note = f"{len(faces)} loose faces could not be sewn" if lost else f"{len(faces)} loose faces were sewn"
         note += f" at {joined} edge{'' if joined == 1 else 's'}, within {sew:g} mm"
-        notes.append(note + (f"; {free} are free: part.step.sew_mm joins edges farther apart" if free else ""))
+        notes.append(note + (f"; {free} edges are free: part.step.sew_mm joins edges farther apart" if free else ""))
     converted = subshapes(BRepBuilderAPI_NurbsConvert(_compound(faces), True).Shape(), TopAbs_ShapeEnum.TopAbs_FACE)
     return [TopoDS.Face(converted.FindKey(i + 1)) for i in range(len(faces))], notes
 
@@ -96,7 +96,7 @@ def _arrays(faces: Sequence[Any], numbers: Sequence[int], names: Sequence[str], 
     known = subshapes(_compound(faces), TopAbs_ShapeEnum.TopAbs_EDGE)
     out: dict[str, Any] = {"faces": len(faces), "numbers": list(numbers), "names": list(names)}
     sides = []
-    senses: dict[int, list[tuple[int, int]]] = {}  # of each edge: faces on it, and in which direction they run along it
+    senses: dict[int, list[tuple[int, int]]] = {}  # for each edge: its faces, and in which direction they run along it
     for k, shape in enumerate(faces):
         knots_u, knots_v, poles = _surface(shape)
         out |= {f"{k}.knots_u": knots_u, f"{k}.knots_v": knots_v, f"{k}.poles": poles}
@@ -169,7 +169,7 @@ def _wires(face: Any) -> list[list[tuple[Any, bool]]]:
 
 
 def _edge_points(edge: Any, face: Any, apart: float) -> Array:
-    """Parameters (n, 2) on a face of places along an edge, in its own direction; the same places on every face."""
+    """Parameters (n, 2) on a face of places along an edge, in the edge's direction; the same places on every face."""
     flat = BRepAdaptor_Curve2d(edge, face)
     first, last = flat.FirstParameter(), flat.LastParameter()
     t = np.linspace(first, last, _LOOKS) if BRep_Tool.Degenerated_s(edge) else _places(edge, apart)
@@ -197,7 +197,7 @@ def _places(edge: Any, apart: float) -> Array:
 
 
 def _flips(count: int, senses: dict[int, list[tuple[int, int]]]) -> list[int]:
-    """For each face 1, or -1 where it looks to the other side than the faces it is joined with."""
+    """For each face 1, or -1 if its orientation is opposite to that of the faces joined to it."""
     beside: list[list[tuple[int, int]]] = [[] for _ in range(count)]
     for on in senses.values():
         for i, (a, along_a) in enumerate(on):
@@ -221,7 +221,7 @@ def _flips(count: int, senses: dict[int, list[tuple[int, int]]]) -> list[int]:
 
 
 def answered(request: dict[str, Any]) -> dict[str, Any]:
-    """The answer to a request (file, faces, apart_mm, sew_mm), or why there is none."""
+    """The answer to a request (file, faces, apart_mm, sew_mm), or the reason why there is none."""
     try:
         return read(request)
     except Damaged as error:

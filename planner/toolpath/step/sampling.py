@@ -1,4 +1,4 @@
-"""Samples of a face at desired distances along its parameters (Onstein et al., Algorithms 1 and 2)."""
+"""Samples faces at desired distances along their parameters (Onstein et al., Algorithms 1 and 2)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from planner.base.arrays import Array, Ints
 from planner.toolpath.coverage.tours import SampledSurface
 from planner.toolpath.step.body import ON_THE_RIM, FaceBody
 
-TOLERANCE = 1e-6  # m, by which a distance between samples may be off where nothing is said
+TOLERANCE = 1e-6  # m: default tolerance of the distance between samples
 MOST_SAMPLES = 200_000
 _TRIES = 60  # of rescaling a step
-_LINES = 9  # across the rows: the distance of rows is measured on the longest
-_LOOKS = 33  # points of each of them
-_TOO_CLOSE = 0.5  # of the spacing between samples of different rows: nearer at a seam or a pole one is enough
-_OTHER_SHEET = 0.0  # cosine between normals, below which samples are not of one sheet
+_LINES = 9  # lines across the rows: the distance between rows is measured on the longest
+_LOOKS = 33  # points on each of them
+_TOO_CLOSE = 0.5  # × the spacing: of two samples of different rows this close, at a seam or pole, one is dropped
+_OTHER_SHEET = 0.0  # cosine between normals below which samples lie on different sheets
 
 
 class TooMany(ValueError):
@@ -31,8 +31,8 @@ class Sampling:
     """How faces are sampled.
 
     spacing    desired distances along u and along v [m], the paper's d_u* and d_v*
-    along      parameter along which rows run: 0 for u, 1 for v; on a row the other one is constant
-    tolerance  by which a distance may miss the desired one [m], the paper's t
+    along      parameter along which rows run: 0 for u, 1 for v; the other one is constant on a row
+    tolerance  greatest deviation from a desired distance [m], the paper's t
     """
 
     spacing: tuple[float, float]
@@ -41,17 +41,17 @@ class Sampling:
 
     @property
     def row(self) -> float:
-        """Distance of neighbours on a row [m]."""
+        """Distance between neighbours on a row [m]."""
         return self.spacing[self.along]
 
     @property
     def apart(self) -> float:
-        """Distance of neighbouring rows [m]."""
+        """Distance between neighbouring rows [m]."""
         return self.spacing[1 - self.along]
 
 
 def sample_faces(body: FaceBody, sampling: Sampling) -> SampledSurface:
-    """Samples of all faces of a body; nowhere nearer than half of the lesser distance from row to row."""
+    """Samples of all faces of a body; those of different rows are at least half the smaller spacing apart."""
     faces, uvs, rows = [], [], []
     start = 0
     for k in range(len(body.side)):
@@ -67,7 +67,7 @@ def sample_faces(body: FaceBody, sampling: Sampling) -> SampledSurface:
 
 
 def _sample(body: FaceBody, face: int, sampling: Sampling) -> tuple[Array, Ints]:
-    """Parameters (n, 2) of the samples inside a face, and the row (n) that each stands on."""
+    """Parameters (n, 2) of the samples inside a face, and the row (n) of each."""
     along, across = sampling.along, 1 - sampling.along
     low, high = body.low[face], body.high[face]
 
@@ -100,7 +100,7 @@ def _sample(body: FaceBody, face: int, sampling: Sampling) -> tuple[Array, Ints]
 def _march(points: Callable[[Array], Array], start: Array, end: float, distance: float, tolerance: float) -> Array:
     """Parameters (k, n) of steps of `distance` [m] from start (n) up to `end`; NaN where a line has ended.
 
-    Algorithm 2: the step in the parameter is rescaled by the desired over the present distance until that is right.
+    Algorithm 2: the step in the parameter is scaled by the ratio of desired to actual distance until this fits.
     points: the points (n, 3) at parameters (n).
     """
     at = start.copy()
@@ -144,7 +144,7 @@ def _on_face(body: FaceBody, face: int, uv: Array) -> NDArray[np.bool_]:
 
 
 def _clear_of_seams(points: Array, normals: Array, row: Ints, spacing: float) -> NDArray[np.bool_]:
-    """Which samples (n) stay: one too close to a sample of an earlier row, on the same sheet, goes."""
+    """Which samples (n) to keep: all but those too close to a sample of an earlier row on the same sheet."""
     keep = np.ones(len(points), dtype=bool)
     tree = cKDTree(points)
     pairs = tree.query_pairs(_TOO_CLOSE * spacing, output_type="ndarray")

@@ -1,4 +1,4 @@
-"""The faces of a STEP or IGES file as Open CASCADE reads them, their names, and what of the file it could not read."""
+"""Reads the faces of a STEP or IGES file and their names with Open CASCADE, and notes what could not be read."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from planner.problem.cad_files import is_iges
 from planner.toolpath.step.files import Damaged
 
 MOST_FACES = STEP_FACES.most
-REPAIR = "repair it in a CAD program, and export it anew"
-_WHEREVER = -1  # an entity is found by its shape, wherever an assembly puts that
-_SHOWN = 6  # entities in a sentence
+REPAIR = "repair it in a CAD program, and export it again"
+_WHEREVER = -1  # finds an entity by its shape, wherever an assembly places it
+_SHOWN = 6  # most entities that a sentence lists
 
-# Entities of IGES (version 5.3, chapter 4) by their numbers: those that are faces, and others that can stand by themselves.
+# IGES entities (version 5.3, chapter 4) by number: faces, and others that can occur on their own.
 _BOUNDED, _TRIMMED, _FACE = 143, 144, 510
 _SURFACES = {108: "plane", 114: "spline surface", 118: "ruled surface", 120: "surface of revolution", 122: "cylinder"}
 _SURFACES |= {128: "B-spline surface", 140: "offset surface", _BOUNDED: "bounded surface", _TRIMMED: "trimmed surface"}
@@ -33,7 +33,7 @@ _SURFACES |= {186: "solid", 190: "plane", 192: "cylinder", 194: "cone", 196: "sp
 _OTHERS = {100: "arc", 102: "chain of curves", 104: "conic", 106: "polyline", 110: "line", 112: "spline", 116: "point"}
 _OTHERS |= {126: "B-spline curve", 130: "offset curve", 142: "curve on a surface", 212: "text", 216: "dimension"}
 _OTHERS |= {150: "block", 152: "wedge", 154: "cylinder", 156: "cone", 158: "sphere", 160: "torus", 180: "Boolean tree"}
-_UNITS = range(1, 12)  # flags of the unit that the standard knows
+_UNITS = range(1, 12)  # unit flags that the standard defines
 
 
 class Found(NamedTuple):
@@ -62,7 +62,7 @@ def all_faces(file: str) -> Found:
     reader = IGESControl_Reader() if iges else STEPControl_Reader()
     kind = "IGES" if iges else "STEP"
     if reader.ReadFile(file) != IFSelect_ReturnStatus.IFSelect_RetDone:
-        raise Damaged(f"{name} is damaged: it cannot be read as {kind}", "export it anew")
+        raise Damaged(f"{name} is damaged: it cannot be read as {kind}", "export it again")
     notes = _transferred(reader, name) if iges else _transferred_step(reader)
     faces, entities = [], []
     if reader.NbShapes():
@@ -90,7 +90,7 @@ def _transferred_step(reader: Any) -> list[str]:
 
 
 def _transferred(reader: Any, name: str) -> list[str]:
-    """Transfer what an IGES file shows, or all of it where it shows nothing; what is to be told of what is hidden."""
+    """Transfer the visible parts of an IGES file, or all parts if none is visible; returns a note on hidden ones."""
     notes = []
     everything = reader.NbRootsForTransfer()
     reader.SetReadVisible(True)
@@ -104,14 +104,14 @@ def _transferred(reader: Any, name: str) -> list[str]:
         named = head.UnitName().ToCString() if head.UnitName() is not None else ""
         raise Damaged(
             f"{name} gives lengths in a unit that IGES does not know (flag {head.UnitFlag()}, {named!r})",
-            "export it anew, in millimetres",
+            "export it again, in millimetres",
         )
     reader.TransferRoots()
     return notes
 
 
 def _name(entity: Any) -> str:
-    """What a face is called: an entity's name, in IGES its property or its label; empty where it has none."""
+    """Name of a face: that of its entity, in IGES its name property or label; empty if it has none."""
     if entity is None:
         return ""
     if hasattr(entity, "HasShortLabel"):
@@ -122,7 +122,7 @@ def _name(entity: Any) -> str:
 
 
 def _unread(model: Any, entities: Sequence[Any]) -> list[str]:
-    """What of an IGES file has become no face: surfaces, by kind and line of the directory; and how much else there is."""
+    """Notes on what did not become a face in an IGES file: surfaces by kind and directory line, and other entities."""
     read = {model.DNum(entity) for entity in entities if entity is not None}
     notes, lost, others = [], [], Counter[str]()
     for i in range(1, model.NbEntities() + 1):
@@ -142,5 +142,5 @@ def _unread(model: Any, entities: Sequence[Any]) -> list[str]:
         )
     if others:
         listed = ", ".join(f"{count} {name}{'s' if count > 1 else ''}" for name, count in others.most_common(_SHOWN))
-        notes.append(f"what is no face was passed over: {listed}")
+        notes.append(f"entities other than faces were passed over: {listed}")
     return notes

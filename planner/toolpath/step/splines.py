@@ -1,7 +1,7 @@
 """Rational B-spline surfaces, several in one set: values, derivatives, normals, and the feet of perpendiculars.
 
-All faces of a STEP file become such surfaces exactly. Beyond its domain a surface goes on as the polynomials at its
-rim do.
+All faces of a STEP file become such surfaces exactly. Beyond its domain a surface continues the polynomials at
+its rim.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.compiled import inner_njit, njit
 
-BEYOND = 0.02  # of the domain's width: so far a surface is followed beyond its rim
+BEYOND = 0.02  # share of the domain's width by which a surface is followed beyond its rim
 _POLE = 1e-7  # m: a shorter side of a surface is a pole
 _NEWTON_STEPS = 30
-_CLOSE = 1e-12  # m: near enough to the foot
-_FARTHEST_STEP = 0.25  # of the domain's width, of one Newton step
-_NUDGE = 1e-5  # of the domain's width, aside from where a surface has no normal (a pole)
-_NO_NORMAL = 1e-9  # sine between the tangents, or share of their lengths, below which there is none
+_CLOSE = 1e-12  # m: a shorter step has reached the foot
+_FARTHEST_STEP = 0.25  # greatest Newton step, as a share of the domain's width
+_NUDGE = 1e-5  # share of the way to the domain's middle by which to step aside where there is no normal (a pole)
+_NO_NORMAL = 1e-9  # sine between the tangents, or ratio of their lengths, below which there is no normal
 _TINY = 1e-300
 
 
@@ -47,7 +47,7 @@ class SplineSurface(ReadOnlyArrays):
 
     @property
     def reach(self) -> Array:
-        """Least and greatest u and v to which it is followed, (2, 2): a little beyond its rim, but not beyond a pole."""
+        """Least and greatest u and v (2, 2) to which it is followed: a little beyond its rim, but not beyond a pole."""
         domain, places = self.domain, self.poles[:, :, :3] / self.poles[:, :, 3:]
         beyond = BEYOND * (domain[1] - domain[0])
         out = np.stack([domain[0] - beyond, domain[1] + beyond])
@@ -111,7 +111,7 @@ class SplineSet(ReadOnlyArrays):
 
     @property
     def arrays(self) -> SplineArrays:
-        """What kernels look at."""
+        """The arrays that kernels use."""
         return SplineArrays(self.knots, self.poles, self.table, self.domain)
 
     def points(self, face: Ints, uv: Array) -> Array:
@@ -125,7 +125,7 @@ class SplineSet(ReadOnlyArrays):
         )
 
     def normals(self, face: Ints, uv: Array) -> Array:
-        """Unit normals (n, 3), du x dv, of surfaces face (n) at parameters (n, 2); at a pole those beside it."""
+        """Unit normals (n, 3), du x dv, of surfaces face (n) at parameters (n, 2); at a pole, those next to it."""
         return _normals(
             np.ascontiguousarray(face, dtype=np.int64),
             np.ascontiguousarray(uv),
@@ -149,7 +149,7 @@ class SplineSet(ReadOnlyArrays):
 
 @inner_njit
 def _span(u: float, knots: Array, first: int, p: int, n: int) -> int:
-    """Index i of the knot below u, p <= i < n: the last and the first span go on beyond."""
+    """Index i of the knot below u, p <= i < n: the first and last spans extend beyond the domain."""
     low, high = p, n
     while high - low > 1:
         middle = (low + high) // 2
@@ -162,9 +162,9 @@ def _span(u: float, knots: Array, first: int, p: int, n: int) -> int:
 
 @inner_njit
 def _basis(u: float, span: int, knots: Array, first: int, p: int, out: Array) -> None:
-    """B-splines of degree p that are not 0 in a span, with two derivatives: out (3, p + 1).
+    """The nonzero B-splines of degree p in a span, with two derivatives: out (3, p + 1).
 
-    From those of degrees p - 1 and p - 2, which differ only in their normalisation.
+    Derivatives come from the splines of degrees p - 1 and p - 2, which differ only in their normalisation.
     """
     low = np.zeros((3, p + 1))  # degrees p - 2, p - 1, p
     value = np.zeros(p + 1)
@@ -265,7 +265,7 @@ def _derivatives(face: Ints, uv: Array, knots: Array, poles: Array, table: Ints)
 def fill_normal(
     face: int, u: float, v: float, knots: Array, poles: Array, table: Ints, domain: Array, out: Array
 ) -> None:
-    """Fill the unit normal (3) at a place, or at one a hair nearer to the middle of the domain."""
+    """Fill the unit normal (3) at a place or, if there is none, at one slightly nearer to the domain's middle."""
     d = np.empty((6, 3))
     for _ in range(3):
         _evaluate(face, u, v, knots, poles, table, d)
@@ -315,10 +315,10 @@ def foot_of(
             xb += e * d[4, k]
             xc += e * d[5, k]
         full = (a + xa) * (c + xc) - (b + xb) ** 2
-        if a + xa > 0.0 and full > 0.1 * (a * c - b * b):  # else steps of the distance alone
+        if a + xa > 0.0 and full > 0.1 * (a * c - b * b):  # full Newton; otherwise Gauss-Newton
             a, b, c = a + xa, b + xb, c + xc
         a, c = a + _TINY, c + _TINY
-        # at a rim, only along it
+        # at a rim, move only along it
         held_u = (u <= u0 and gu > 0.0) or (u >= u1 and gu < 0.0)
         held_v = (v <= v0 and gv > 0.0) or (v >= v1 and gv < 0.0)
         if held_u and held_v:

@@ -1,4 +1,4 @@
-"""Faces of a STEP file seen from above, for plane curves to be projected onto; and as triangles, for pictures."""
+"""Faces of a STEP file seen from above, onto which plane curves are projected; and as triangles, for pictures."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
 from planner.toolpath.step.files import Face
 from planner.toolpath.substrate.mesh_surface import HeightField, fit
 
-_CELLS, _MOST_CELLS = 10, 200  # along either parameter of a face
-_LINES, _LOOKS = 5, 41  # across a face either way, and places on each, where its bend is measured
-_SAG = 2e-3  # m that a cell may leave the face: from so far, bodies of triangles are brought back onto the surface
+_CELLS, _MOST_CELLS = 10, 200  # least and greatest number of cells along each parameter of a face
+_LINES, _LOOKS = 5, 41  # lines across a face each way, and places on each, at which its curvature is measured
+_SAG = 2e-3  # m: greatest deviation of a cell from its face; bodies of triangles are moved onto the face from this far
 
-CLOSE = 5e-7  # m: near enough to the faces; normals are then within some hundredths of a degree
-FARTHEST = 2e-5  # m, of the smooth surface from the faces at the curves
-_COARSEST, _FINEST = 8, 64  # knots of the smooth surface along the longer side of what is covered
-_SAMPLES = 240  # of the faces along that side
-_ASIDE = 1e-3  # weight of samples that no curve comes near, against those at a curve
-_STEEPEST = 0.17  # upward component of a normal: steeper faces say nothing of the surface
-_STARTS = 6  # samples beside a place from which a place above or beneath it is looked for
+CLOSE = 5e-7  # m: close enough to the faces; normals are then within a few hundredths of a degree
+FARTHEST = 2e-5  # m: greatest distance of the smooth surface from the faces at the curves
+_COARSEST, _FINEST = 8, 64  # knots of the smooth surface along the longer side of the covered area
+_SAMPLES = 240  # samples of the faces along that side
+_ASIDE = 1e-3  # weight of samples away from all curves, relative to those near a curve
+_STEEPEST = 0.17  # least upward component of a normal: steeper faces are ignored
+_STARTS = 6  # nearest samples of a place from which the search above or beneath it starts
 _STEPS = 30
-_LEAST_UP = 0.05  # upward component with which a tangent plane is followed
-_AS_ONE = np.array([1.0, 1.0j])  # u and v as one number
-_FOUND = 1e-10  # m, between a place and what is found above or beneath it
-_STILL = 1e-13  # m: heights that change by no more do not change
+_LEAST_UP = 0.05  # least upward component assumed for the normal of a tangent plane
+_AS_ONE = np.array([1.0, 1.0j])  # packs u and v into one number
+_FOUND = 1e-10  # m: a foot this close to its place is that place
+_STILL = 1e-13  # m: a smaller change of height counts as none
 
 
 def faces_shape(faces: Sequence[Face]) -> Shape:
@@ -69,7 +69,7 @@ def _cells(face: Face, low: Array, high: Array) -> list[int]:
     sags = []
     for shares in ((there, across), (across, there)):
         uv = low + np.stack(shares, axis=-1).reshape(-1, 2) * (high - low)
-        # second differences are eight times what a piece leaves the face
+        # second differences are eight times a piece's deviation from the face
         turns = np.diff(face.points(uv).reshape(_LINES, _LOOKS, 3), 2, axis=1)
         sags.append(float(np.linalg.norm(turns, axis=2).max()) / 8.0 * ((_LOOKS - 1) / _CELLS) ** 2)
     if sum(sags) <= _SAG:
@@ -78,7 +78,7 @@ def _cells(face: Face, low: Array, high: Array) -> list[int]:
 
 
 class NotSmooth(ValueError):
-    """The smooth surface leaves the faces by `gap` at `place` (2) [m]: there is an edge or a step."""
+    """The smooth surface deviates from the faces by `gap` at `place` (2) [m]: there is an edge or a step."""
 
     def __init__(self, gap: float, place: Array) -> None:
         self.gap, self.place = gap, place
@@ -87,7 +87,7 @@ class NotSmooth(ValueError):
 
 @dataclass(frozen=True)
 class UpperFaces:
-    """Faces that look upwards somewhere: samples of them, the tree of their x and y, and what is told of their file."""
+    """Faces that look upwards somewhere: their samples, the tree of the samples' x and y, and notes on their file."""
 
     body: FaceBody
     samples: FacePlaces
@@ -99,7 +99,7 @@ class UpperFaces:
         """The faces, at least one; None where none looks upwards."""
         body = FaceBody.of(faces)
         places = body.at(body.sample_face, body.sample_uv)
-        # those on the rims stand densely along a seam, and near a pole nearer than any other: a bad start for what is beside
+        # samples on rims are dense along a seam, and nearest of all around a pole: bad starts for places next to them
         on_rim = np.isin(places.uv @ _AS_ONE, body.rim_uv @ _AS_ONE)
         use = ~on_rim | ~np.isin(places.face, places.face[~on_rim])
         up = (places.normals[:, 2] > _STEEPEST) & use
@@ -109,10 +109,10 @@ class UpperFaces:
         return cls(body, samples, cKDTree(samples.points[:, :2]), notes)
 
     def top(self, plane: Array) -> tuple[Array, Array]:
-        """Heights (n,) of the uppermost faces at x, y (n, 2), and upward components (n,) of their normals; NaN beside them.
+        """Heights (n,) of the uppermost faces at x, y (n, 2), and z components (n,) of their normals; NaN off faces.
 
-        From a place in the air the foot of the perpendicular gives a tangent plane, and this the next height. Unlike a
-        search in u and v this works at a pole too.
+        The foot of the perpendicular from a place in the air gives a tangent plane, which gives the next height. Unlike
+        a search in u and v, this also works at a pole.
         """
         near = self.tree.query(plane, k=min(_STARTS, self.tree.n))[1].reshape(len(plane), -1)
         known = self.samples
@@ -130,9 +130,9 @@ class UpperFaces:
         return z, up
 
     def _risen(self, plane: Array, start: Ints, near: Ints) -> tuple[Array, FacePlaces]:
-        """Heights (n,) above x, y (n, 2) at which the foot is the place itself, or beyond a rim changes no more; and feet.
+        """Heights (n,) above x, y (n, 2) at which a place is its own foot or, beyond a rim, settles; and feet.
 
-        start (n,) and near (n, c): samples to begin with, and to look for feet from.
+        start (n,) and near (n, c): samples to start from, and from which feet are sought.
         """
         known = self.samples
         foot, normal = known.points[start], known.normals[start]
@@ -171,11 +171,10 @@ class UpperFaces:
 
 @dataclass(frozen=True)
 class FaceTop:
-    """Faces for distances and for the normals that are true; a smooth surface near curves for what is laid on them.
+    """Faces for distances and true normals; a smooth surface near curves for laying beads.
 
-    Curves cross from face to face, where these are bent differently, and from knot to knot within one; the smooth
-    surface's four continuous derivatives are what joints can follow. gap: by how much it leaves the faces at the
-    curves, at most [m].
+    Curves cross between faces of different curvature, and between knots within a face; the smooth surface has four
+    continuous derivatives, which joints can follow. gap: its greatest deviation from the faces at the curves [m].
     """
 
     faces: UpperFaces
@@ -184,9 +183,9 @@ class FaceTop:
 
     @classmethod
     def near(cls, faces: UpperFaces, curves: Array, reach: float) -> FaceTop:
-        """Lay a smooth surface on faces near curves, points x, y (n, 2) that all fall onto faces: within `reach` [m].
+        """Fit a smooth surface to faces within `reach` [m] of curves, points x, y (n, 2) that all fall onto faces.
 
-        Raises NotSmooth where it leaves them by more than FARTHEST at a curve.
+        Raises NotSmooth if it deviates from them by more than FARTHEST at a curve.
         """
         z, up = faces.top(curves)
         low, high = curves.min(axis=0) - reach, curves.max(axis=0) + reach
@@ -212,7 +211,7 @@ class FaceTop:
         return best
 
     def at(self, plane: Array) -> tuple[Array, Array]:
-        """Points and outward unit normals (n, 3) of the smooth surface at x, y (n, 2), a hair beyond the faces too."""
+        """Points and outward unit normals (n, 3) of the smooth surface at x, y (n, 2), even just beyond the faces."""
         return self.surface.at(plane)
 
     def upward(self, plane: Array) -> Array:
@@ -220,7 +219,7 @@ class FaceTop:
         return self.faces.upward(plane)
 
     def normals(self, points: Array) -> Array:
-        """Outward unit normals (n, 3) of the faces where their perpendiculars meet points (n, 3) close above them."""
+        """Outward unit normals (n, 3) of the faces at the feet of perpendiculars from points (n, 3) just above."""
         return self.faces.beneath(points).normals
 
     def signed_distance(self, points: Array) -> Array:
@@ -228,5 +227,5 @@ class FaceTop:
         return self.faces.body.signed_distance(points)
 
     def shape(self) -> Shape:
-        """Triangles of the smooth surface, as far as it reaches."""
+        """Triangles of the whole smooth surface."""
         return skin_shape(self.at, *self.surface.span)

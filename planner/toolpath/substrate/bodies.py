@@ -1,7 +1,7 @@
 """Bodies that plane curves are projected onto, and nozzle directions from the facets of a mesh.
 
-Planes, corrugated sheets, ellipsoids and balls are known exactly; a mesh has its top (`mesh_top.py`). Lengths are metres
-in the part frame.
+Planes, corrugated sheets, ellipsoids and balls are known exactly; a mesh has its top (`mesh_top.py`). Lengths are
+metres in the part frame.
 
 Normals of facets (Pollard et al., section 4.1) jump where a bead passes from one facet to the next, and no arm can
 follow a jump. `Facing` turns the normal over a stated length around each edge: it averages the facets' normals along
@@ -22,18 +22,18 @@ from planner.problem.part import PartSpec
 from planner.toolpath.bead import Shape, dome_shape, skin_shape
 
 _KNOTS = 6
-_SHARE = BSpline.basis_element(np.arange(_KNOTS + 1.0)).antiderivative()  # of a jump that is behind, over its length
+_SHARE = BSpline.basis_element(np.arange(_KNOTS + 1.0)).antiderivative()  # completed share of a jump, over its length
 
-_TRIES = 24  # places within a wave from which the nearest one is looked for
-_NEWTON_STEPS = 60  # from next to a pole each step gains a factor of 1.5
+_TRIES = 24  # places within a wave that are tried as starts for the nearest one
+_NEWTON_STEPS = 60  # starting next to a pole, each step gains a factor of 1.5
 _CLOSE = 1e-12  # relative: a Newton step as small as this ends the search
-_OFF_AXIS = 1e-9  # of a radius: where a centre plane is as near as both sides, one is taken
+_OFF_AXIS = 1e-9  # × a radius: on a centre plane, both sides are equally near, and one is chosen
 _BLOCK = 16384  # points at once: bounds the memory of the tries
 
 
 @dataclass(frozen=True)
 class Facing:
-    """Unit normals along a bead: `first` (3), and at arc lengths `places` (k) [m] jumps (k, 3), each spread over `blend` [m]."""
+    """Unit normals along a bead: `first` (3), then jumps (k, 3) at arc lengths `places` (k), each over `blend` [m]."""
 
     first: Array
     places: Array
@@ -43,7 +43,7 @@ class Facing:
     @classmethod
     def along(cls, s: Array, normals: Array, blend: float, closed: bool) -> Facing:
         """From the facets' normals (n, 3) at arc lengths s (n) of a bead."""
-        if closed:  # a round before and a round after
+        if closed:  # one lap before and one after
             s = np.concatenate([s[:-1] - s[-1], s, s[-1] + s[1:]])
             normals = np.vstack([normals[:-1], normals, normals[1:]])
         jumps = np.diff(normals, axis=0)
@@ -86,7 +86,7 @@ class SubstrateBody(Protocol):
         ...
 
     def shape(self) -> Shape | None:
-        """The body to be drawn, if it can be."""
+        """The body for drawing, if it can be drawn."""
         ...
 
 
@@ -98,7 +98,7 @@ class Ball:
     centre: Array
 
     def at(self, plane: Array) -> tuple[Array, Array]:
-        """Points and outward unit normals (n, 3) of the upper half at x, y (n, 2); NaN beside the ball."""
+        """Points and outward unit normals (n, 3) of the upper half at x, y (n, 2); NaN off the ball."""
         across = plane - self.centre[:2]
         square = self.radius**2 - (across**2).sum(axis=1)
         up = np.sqrt(np.where(square > 0.0, square, np.nan))
@@ -107,7 +107,7 @@ class Ball:
         return self.centre + self.radius * normals, normals
 
     def upward(self, plane: Array) -> Array:
-        """Upward components (n,) of the normals at x, y (n, 2); NaN beside the ball."""
+        """Upward components (n,) of the normals at x, y (n, 2); NaN off the ball."""
         return self.at(plane)[1][:, 2]
 
     def normals(self, points: Array) -> Array:
@@ -120,12 +120,12 @@ class Ball:
         return np.asarray(np.linalg.norm(points - self.centre, axis=1) - self.radius)
 
     def shape(self) -> Shape:
-        """The dome that stands above the bed."""
+        """The dome above the bed."""
         return dome_shape(self.radius, self.centre)
 
 
 def exact_body(part: PartSpec) -> SubstrateBody | None:
-    """The part's body, if it is one that is known exactly."""
+    """The part's body, if it is known exactly."""
     if part.sphere is not None:
         return Ball(part.sphere.radius, np.asarray(part.sphere.centre))
     if part.plane is not None:
@@ -152,7 +152,7 @@ def _beside(plane: Array, centre: Array, size: Array) -> NDArray[np.bool_]:
 class Plane:
     """A plane through a centre (3), its height rising by `gradient` (2) per metre in x and y; solid beneath.
 
-    It is there within `size` (2) around the centre; distances are those of the endless plane.
+    It covers `size` (2) around the centre; distances are those to the infinite plane.
     """
 
     centre: Array
@@ -170,7 +170,7 @@ class Plane:
         return np.column_stack([plane, z]), np.tile(self._normal, (len(plane), 1))
 
     def upward(self, plane: Array) -> Array:
-        """Upward components (n,) of the normals at x, y (n, 2); NaN beside the plane's own size."""
+        """Upward components (n,) of the normals at x, y (n, 2); NaN outside its size."""
         return np.where(_beside(plane, self.centre, self.size), np.nan, self._normal[2])
 
     def normals(self, points: Array) -> Array:
@@ -182,7 +182,7 @@ class Plane:
         return np.asarray((points - self.centre) @ self._normal)
 
     def shape(self) -> Shape:
-        """Triangles of the plane as large as it is."""
+        """Triangles of the plane within its size."""
         half = 0.5 * self.size
         return skin_shape(self.at, self.centre[:2] - half, self.centre[:2] + half)
 
@@ -192,8 +192,7 @@ class Corrugation:
     """A sheet with a cosine wave, solid beneath.
 
     Its height is that of a centre (3) plus amplitude [m] times the cosine of `wave` [rad/m] times the distance from the
-    centre `along` (2) the waves. It is there within `size` (2) around the centre; distances are those of the endless
-    sheet.
+    centre `along` (2) the waves. It covers `size` (2) around the centre; distances are those to the infinite sheet.
     """
 
     centre: Array
@@ -209,7 +208,7 @@ class Corrugation:
         return np.column_stack([plane, z]), self._normals(t)
 
     def upward(self, plane: Array) -> Array:
-        """Upward components (n,) of the normals at x, y (n, 2); NaN beside the sheet's own size."""
+        """Upward components (n,) of the normals at x, y (n, 2); NaN outside its size."""
         return np.where(_beside(plane, self.centre, self.size), np.nan, self.at(plane)[1][:, 2])
 
     def normals(self, points: Array) -> Array:
@@ -223,7 +222,7 @@ class Corrugation:
         return np.where(over, 1.0, -1.0) * np.hypot(u - t, self.amplitude * np.cos(self.wave * u) - z)
 
     def shape(self) -> Shape:
-        """Triangles of the sheet as large as it is."""
+        """Triangles of the sheet within its size."""
         half = 0.5 * self.size
         return skin_shape(self.at, self.centre[:2] - half, self.centre[:2] + half)
 
@@ -270,7 +269,7 @@ class Ellipsoid:
     radii: Array
 
     def at(self, plane: Array) -> tuple[Array, Array]:
-        """Points and outward unit normals (n, 3) of the upper half at x, y (n, 2); NaN beside the ellipsoid."""
+        """Points and outward unit normals (n, 3) of the upper half at x, y (n, 2); NaN off the ellipsoid."""
         across = (plane - self.centre[:2]) / self.radii[:2]
         square = 1.0 - (across**2).sum(axis=1)
         unit = np.column_stack([across, np.sqrt(np.where(square > 0.0, square, np.nan))])
@@ -279,7 +278,7 @@ class Ellipsoid:
         return self.centre + self.radii * unit, normals
 
     def upward(self, plane: Array) -> Array:
-        """Upward components (n,) of the normals at x, y (n, 2); NaN beside the ellipsoid."""
+        """Upward components (n,) of the normals at x, y (n, 2); NaN off the ellipsoid."""
         return self.at(plane)[1][:, 2]
 
     def normals(self, points: Array) -> Array:
@@ -293,7 +292,7 @@ class Ellipsoid:
         return np.where(inside, -1.0, 1.0) * np.linalg.norm(away - self._nearest(points), axis=1)
 
     def shape(self) -> Shape:
-        """Triangles of what stands above its own middle and above z = 0."""
+        """Triangles of the part above its own centre and above z = 0."""
         ball = dome_shape(1.0, np.array([0.0, 0.0, self.centre[2] / self.radii[2]]))
         return Shape(self.centre + self.radii * ball.normals, self._outward(ball.normals), ball.triangles)
 
@@ -306,12 +305,12 @@ class Ellipsoid:
         """Places (n, 3) nearest to points (n, 3), from the centre.
 
         With radii r they are r^2 y / (r^2 + t) for a point y, where sum (r y / (r^2 + t))^2 = 1. That sum falls and is
-        convex in t: Newton's method, started where it is above 1, comes to the root from one side.
+        convex in t: Newton's method, started where it is above 1, converges to the root from one side.
         """
         y = points - self.centre
         away = np.maximum(np.abs(y), _OFF_AXIS * self.radii)
         square = self.radii**2
-        t = np.max(self.radii * away - square, axis=1)  # where one term alone is 1
+        t = np.max(self.radii * away - square, axis=1)  # where a single term is 1
         for _ in range(_NEWTON_STEPS):
             terms = (self.radii * away / (square + t[:, None])) ** 2
             slope = -2.0 * (terms / (square + t[:, None])).sum(axis=1)

@@ -1,4 +1,4 @@
-"""What of plane curves can be printed on a part: the rest is left out up to a stated share, told and drawn; beyond, refused."""
+"""Clips plane curves to where a part can be printed on: the rest is reported and drawn, or refused above a share."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from planner.toolpath.plane_paths import PlaneCurve, densify, length
 from planner.toolpath.substrate.mesh_top import TooRoughMesh
 from planner.toolpath.svg.outlines import PlanePath
 
-STEEPEST = 75.0  # deg from the horizontal: beyond, a hair's breadth aside is a long way down, and the nozzle lies flat
-SHORTEST = 3.0  # bead widths: a shorter piece of a curve that was cut is left out, too
-_SAME = 1e-9  # m: vertices nearer than this to a cut are the cut
-_AROUND = 5  # samples of a curve to either side over which facets' slopes are averaged: one among noise is no wall
-_DRAWN = 10  # dense points from one that is drawn to the next
-_ROUNDED_UP = 1e-3  # of a share that a hint names
+STEEPEST = 75.0  # deg from the horizontal: steeper, a hair's breadth aside is far down, and the nozzle lies flat
+SHORTEST = 3.0  # bead widths: shorter pieces of a cut curve are left out, too
+_SAME = 1e-9  # m: vertices closer than this to a cut coincide with it
+_AROUND = 5  # samples to either side over which facets' slopes are averaged: a single noisy one is no wall
+_DRAWN = 10  # every so many dense points, one is drawn
+_ROUNDED_UP = 1e-3  # step to which a share in a hint is rounded up
 
 FITS, OFF, STEEP, EDGE, FOLDS, SHORT = range(6)
 _WORDS = {
@@ -44,9 +44,9 @@ class Cut:
 
 @dataclass(frozen=True)
 class Clipped:
-    """Paths that can be printed, and what was cut from them; `drawn` is the length of all that was drawn [m].
+    """Paths that can be printed, and what was cut from them; `drawn` is the length of the whole drawing [m].
 
-    told: what is to be told of the file that they come from
+    told: notes on the file that they come from
     """
 
     paths: tuple[PlanePath, ...]
@@ -56,7 +56,7 @@ class Clipped:
 
     @classmethod
     def of(cls, paths: Iterable[PlanePath], width: float) -> Clipped:
-        """All paths but those shorter than a bead is wide [m]."""
+        """All paths except those shorter than a bead is wide [m]."""
         every = tuple(paths)
         lengths = [length(path.points) for path in every]
         short = [size < width for size in lengths]
@@ -64,7 +64,7 @@ class Clipped:
         return cls(tuple(path for path, each in zip(every, short, strict=True) if not each), sum(lengths), cuts)
 
     def without(self, reasons: Callable[[Array], Ints], width: float) -> Clipped:
-        """The same cut where `reasons` of places x, y (n, 2) of a path are not FITS; width of a bead [m]."""
+        """The same, with paths cut where `reasons` at their places x, y (n, 2) are not FITS; width of a bead [m]."""
         paths: list[PlanePath] = []
         cuts = list(self.cuts)
         for path in self.paths:
@@ -94,7 +94,7 @@ class Clipped:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is told of the file, and what was left out, in words."""
+        """Notes on the file, and on what was left out."""
         if not self.cuts:
             return self.told
         parts = []
@@ -111,7 +111,7 @@ class Clipped:
         )
 
     def drawn_on(self, plane: Array, heights: Array) -> tuple[Array, ...]:
-        """What was cut, as lines (n, 3) to be drawn: as high as the nearest of what is printed, plane (m, 2), heights (m)."""
+        """The cuts as lines (n, 3) to be drawn, as high as the nearest printed places, plane (m, 2) and heights (m)."""
         tree, lines = cKDTree(plane), []
         for cut in self.cuts:
             dense = densify(cut.points)
@@ -125,7 +125,7 @@ class Clipped:
             raise TooMuchCut(self)
 
     def refusal(self, problem: Problem, size_key: str, needed: float | None) -> Exception:
-        """The InputError that says what most is lost by, and the share that leaves out what cannot be printed, if one does."""
+        """The InputError that names the main cause of loss, and the share to leave out instead, if there is one."""
         lost = {
             why: sum(length(cut.points) for cut in self.cuts if cut.why == why)
             for why in {cut.why for cut in self.cuts}
@@ -159,7 +159,7 @@ class Clipped:
 
 
 class TooMuchCut(ValueError):
-    """More is cut from curves than may be left out; edges of a mesh, where it is `rough` there."""
+    """More is cut from curves than may be left out; `rough` if that is due to edges of a mesh."""
 
     def __init__(self, clipped: Clipped, rough: TooRoughMesh | None = None) -> None:
         self.clipped, self.rough = clipped, rough
@@ -172,12 +172,12 @@ def vanishes(drawn: Array, rounded: Array, width: float) -> bool:
 
 
 def share_words(share: float) -> str:
-    """A share that is at least this, as it stands in a problem file."""
+    """This share, rounded up, as written in a problem file."""
     return f"{min(np.ceil(share / _ROUNDED_UP + 0.01) * _ROUNDED_UP, 1.0):.3g}"
 
 
 def off_or_steep(upward: Callable[[Array], Array]) -> Callable[[Array], Ints]:
-    """What keeps places of a path from being printed, from the upward components of a surface's normals there."""
+    """Why places of a path cannot be printed, judged by the upward components of a surface's normals there."""
 
     def reasons(plane: Array) -> Ints:
         up = upward(plane)
@@ -220,7 +220,7 @@ def trim_curve(curve: PlaneCurve, keep: Flags) -> list[PlaneCurve]:
 
 
 def _runs(keep: Flags, closed: bool) -> list[tuple[int, int]]:
-    """First and last place of each run of kept places (n), not all of them; past n - 1 where it crosses the seam."""
+    """First and last place of each run of kept places (n), if not all are; past n - 1 where it crosses the seam."""
     runs = [(first, end - 1) for first, end in true_runs(keep).tolist()]
     if closed and len(runs) > 1 and runs[0][0] == 0 and runs[-1][1] == len(keep) - 1:
         runs = [*runs[1:-1], (runs[-1][0], len(keep) - 1 + runs[0][1])]
@@ -228,13 +228,13 @@ def _runs(keep: Flags, closed: bool) -> list[tuple[int, int]]:
 
 
 def _unrolled(arc: Array, first: int, end: int) -> tuple[float, float]:
-    """Arc lengths of the places `first` and `end`, the latter past the seam where it is no place of its own."""
+    """Arc lengths of the places `first` and `end`, the latter past the seam if its number is beyond the last."""
     last = len(arc) - 1
     return float(arc[first]), float(arc[end]) if end <= last else float(arc[-1] + arc[end - last])
 
 
 def _between(points: Array, low: float, high: float) -> Array:
-    """A polyline (n, 2) from one arc length to another [m], which may lie a round further on a closed one."""
+    """A polyline (n, 2) from one arc length to another [m], which may lie one lap further on a closed one."""
     arc = arc_lengths(points)
     if high > arc[-1] + _SAME:
         points, arc = np.vstack([points, points[1:]]), np.concatenate([arc, arc[-1] + arc[1:]])
@@ -244,7 +244,7 @@ def _between(points: Array, low: float, high: float) -> Array:
 
 
 def lost_pieces(curve: PlaneCurve, reasons: Ints) -> list[Cut]:
-    """What of a rounded curve is cut for `reasons` (n) of its samples."""
+    """The pieces of a rounded curve that are cut for `reasons` (n) at its samples."""
     found = []
     for why in np.unique(reasons[reasons != FITS]).tolist():
         found += [Cut(curve.name, why, piece.points) for piece in trim_curve(curve, reasons == why)]
@@ -252,7 +252,7 @@ def lost_pieces(curve: PlaneCurve, reasons: Ints) -> list[Cut]:
 
 
 def creases(outline: Sequence[Array], normals: Callable[[Array], Array], crease: float) -> Array:
-    """Places (k, 2) where paths, by dense points (n, 2), cross from facet to facet in an angle above `crease` [rad]."""
+    """Places (k, 2) where paths, as dense points (n, 2), cross an edge between facets sharper than `crease` [rad]."""
     edges = [np.zeros((0, 2))]
     for dense in outline:
         n = normals(dense)

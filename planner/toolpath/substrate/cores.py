@@ -1,4 +1,4 @@
-"""Aerofoil cores (Pollard et al., section 4.2): layers from a body's surface up to a middle, and their reflection."""
+"""Aerofoil cores (Pollard et al., section 4.2): layers from a body up to a middle surface, and their reflection."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.workload import check_curves
 
-_PITCH = 1e-3  # m between corners of the facets that stand for layers: 0.08 mm off them where 1.5 mm is their radius
+_PITCH = 1e-3  # m between corners of the facets that represent layers: 0.08 mm off them at a radius of 1.5 mm
 _MOST_PITCHES = 300  # along the longer side
-_WHOLE = 1e-9  # layers: so little more than a whole number is that number
+_WHOLE = 1e-9  # layers: up to this much above a whole number counts as that number
 
-_LEAST = 0.2  # of the height of layers: where they were less high, they are left out
+_LEAST = 0.2  # × the height of layers: where they would be lower, they are left out
 _SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
-_STEEPER = np.radians(5.0)  # by which a facet may lean more than layers: the smooth surface decides
-_FARTHER = np.radians(15.0)  # likewise for what the smooth surface is laid through
-_PART = 0.5  # of the least room: with less, the surface is about to end in an edge
+_STEEPER = np.radians(5.0)  # by which a facet may tilt more than layers: the smooth surface decides
+_FARTHER = np.radians(15.0)  # likewise for facets that the smooth surface is fitted to
+_PART = 0.5  # × the least room: with less, the surface is close to ending in an edge
 _MIDDLE = "layers.up_to.mesh.file"
 
 
@@ -52,7 +52,7 @@ class Level:
     """A layer of a core: nozzle tips at lower * (height of the body) + middle * (of the middle) + rise [m].
 
     room    least height of the middle above the body where it is laid [m]
-    height  of the layer along z, and `share` of the middle's height above the body more [m]
+    height  of the layer along z, plus `share` of the middle's height above the body [m]
     """
 
     lower: float
@@ -68,14 +68,14 @@ class Level:
         return self.lower < 0.0
 
 
-REFLECTED = Level(-1.0, 2.0, 0.0, 0.0, 0.0, 0.0)  # the body's own, in the middle: a core's upper surface
+REFLECTED = Level(-1.0, 2.0, 0.0, 0.0, 0.0, 0.0)  # the body's own reflection in the middle: a core's upper surface
 
 
 def even_levels(height: float, most: float, both: bool) -> list[Level]:
     """Layers of one height [m] where the middle is up to `most` [m] above the body, in print order.
 
     Those of the lower half end where they would reach beyond the middle. Their reflections begin half a layer earlier,
-    so that everywhere less than a layer's height is left open between the halves, and nowhere do they overlap.
+    so that the gap between the halves is everywhere less than a layer's height, and they never overlap.
     """
     lower = [
         Level(1.0, 0.0, (k + 1) * height, (k + 1) * height, height, 0.0) for k in range(int(most / height + _WHOLE))
@@ -87,9 +87,9 @@ def even_levels(height: float, most: float, both: bool) -> list[Level]:
 
 
 def varying_levels(height: float, least: float, most: float, both: bool) -> list[Level]:
-    """Layers that share the height between body and middle, up to `most` [m], out evenly, none higher than `height`.
+    """Layers that evenly divide the height between body and middle, up to `most` [m], none higher than `height`.
 
-    They end where they would be less high than `least` [m].
+    They end where they would be lower than `least` [m].
     """
     count = int(np.ceil(most / height - _WHOLE))
     shares = [(k + 1) / count for k in range(2 * count if both else count)]
@@ -102,11 +102,11 @@ class CoreSurface:
 
     lower, middle  heights of the body and of the middle, with the same knots
     least, upright least height of the middle above the body [m] and least upward component of its normals where the
-                   core is; beyond, the heights mean nothing
+                   core is; outside it, the heights are meaningless
     levels         of the layers that are laid, in print order
     layers         of all beads in print order
-    solid          how many layers count as there; beneath the layer that is printed the core has grown everywhere
-    grown          its upper side as facets, worked out when it is asked for
+    solid          how many layers count as printed: beneath the layer being printed, the core has grown everywhere
+    grown          its upper side as facets, computed on request
     """
 
     body: MeshTop
@@ -120,7 +120,7 @@ class CoreSurface:
     grown: LastTrees = field(default_factory=LastTrees, compare=False)
 
     def before(self, bead: int) -> CoreSurface:
-        """The surface when the first `bead` beads have been printed: the last one's layer lies on it."""
+        """The surface after the first `bead` beads: the one on which the last one's layer lies."""
         return replace(self, solid=self.layers[bead - 1] if bead > 0 else 0)
 
     def field(self, level: Level) -> HeightField:
@@ -133,7 +133,7 @@ class CoreSurface:
         return np.asarray(self.middle.at(plane)[0][:, 2] - self.lower.at(plane)[0][:, 2])
 
     def signed_distance(self, points: Array) -> Array:
-        """Distance (n,) of points (n, 3) from what is there; negative inside."""
+        """Distance (n,) of points (n, 3) from body and core; negative inside."""
         body, grown = self.body.signed_distance(points), self._grown()
         if grown is None:
             return body
@@ -141,7 +141,7 @@ class CoreSurface:
         return np.asarray(np.minimum(body, np.where(points[:, 2] < top, -1.0, 1.0) * grown.distance(points)))
 
     def normals(self, points: Array) -> Array:
-        """Upward unit normals (n, 3) of the topmost layer above or below points (n, 3); upwards beside the core."""
+        """Upward unit normals (n, 3) of the topmost layer above or below points (n, 3); straight up off the core."""
         top = self.lower if self.solid == 0 else self.field(self.levels[self.solid - 1])
         normals = top.at(points[:, :2])[1]
         normals[~self._there(points[:, :2])] = [0.0, 0.0, 1.0]
@@ -152,13 +152,13 @@ class CoreSurface:
         return self.field(self.levels[self.layers[bead]]).at(tips[:, :2])[1]
 
     def _there(self, plane: Array) -> NDArray[np.bool_]:
-        """Where, of places x, y (n, 2), the core is."""
+        """Which of the places x, y (n, 2) lie within the core."""
         low, high = self.lower.span
         within = ((plane >= low) & (plane <= high)).all(axis=1)
         return np.asarray(within & (self.room(plane) >= self.least) & (self.lower.at(plane)[1][:, 2] >= self.upright))
 
     def _grown(self) -> FacetTree | None:
-        """What has grown on the body, up to its middle where the reflected half is begun; None before the first layer."""
+        """The layers on the body, filled up to the middle once the reflected half has begun; None before the first."""
         return self.grown.of(self.solid, self._facets) if self.solid else None
 
     def _facets(self) -> FacetTree | None:
@@ -183,7 +183,7 @@ class _Cavity:
     middle: FacetTree | float
 
     def room(self, plane: Array, steepest: float) -> Array:
-        """Height (n,) of the middle above the body at x, y (n, 2) [m]; -inf beside them and where the body is steeper."""
+        """Height (n,) of the middle above the body at x, y (n, 2) [m]; -inf off them and where the body is steeper."""
         middle = self.middle if isinstance(self.middle, float) else self.middle.top(plane)[0]
         room = np.where(self.body.upward(plane) >= np.cos(steepest), middle - self.body.top(plane)[0], -np.inf)
         return np.where(np.isnan(room), -np.inf, room)
@@ -235,7 +235,7 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
 
 
 def _check_left_out(problem: Problem, most: float, lost: float, laid: float) -> None:
-    """InputError where pieces that are too short make up more than a share `most` of what was to be laid [m]."""
+    """Raise InputError if pieces that are too short make up more than a share `most` of the length to be laid [m]."""
     if lost > most * (lost + laid):
         share = share_words(lost / (lost + laid))
         reason = f"{lost * 1e3:.1f} mm of the layers are in pieces too short for a bead"
@@ -258,7 +258,7 @@ def _space(problem: Problem, spec: CoreLayersSpec) -> _Cavity:
 def _trimmed(
     problem: Problem, spec: CoreLayersSpec, space: _Cavity, paths: Sequence[PlanePath]
 ) -> tuple[list[PlanePath], float]:
-    """What of the paths lies where there may be layers, and the least room there [m]."""
+    """The pieces of the paths where layers are possible, and the least room there [m]."""
     dense = [densify(path.points) for path in paths]
     _check_there(problem, "layers.source", "part", space.body, paths, dense)
     if isinstance(space.middle, FacetTree):
@@ -303,15 +303,17 @@ def _check_there(
 
 
 def _no_room(problem: Problem, reason: str) -> Exception:
-    hint = "a layer needs as much room; choose a lesser height, a greater tilt_deg, or another up_to"
-    return problem.error("layers.height_mm", f"there is room for no layer: {reason}", hint)
+    hint = "a layer needs that much room; choose a smaller height, a greater tilt_deg, or another up_to"
+    return problem.error("layers.height_mm", f"there is no room for a layer: {reason}", hint)
 
 
 def _surface(
     problem: Problem, spec: CoreLayersSpec, space: _Cavity, paths: Sequence[PlanePath], least: float
 ) -> tuple[CoreSurface, dict[str, MeshTop]]:
-    """Body and middle as smooth surfaces with the same knots, near paths that keep `least` [m] between them; and the meshes
-    that they are laid through, by the keys that name them."""
+    """Body and middle as smooth surfaces with the same knots near paths, and the meshes they are fitted to, by key.
+
+    least: room between the two along the paths [m]
+    """
 
     def part(plane: Array) -> NDArray[np.bool_]:
         return np.asarray(space.room(plane, spec.tilt + _FARTHER) >= _PART * least)
@@ -340,7 +342,7 @@ def _surface(
 def _rounded(problem: Problem, surface: CoreSurface, path: PlanePath) -> PlaneCurve:
     """The path with its corners rounded within the tolerance in all layers.
 
-    None leans more than the body or the body's reflection does.
+    No layer tilts more than the body or its reflection.
     """
     dense = densify(path.points)
     ends = (surface.lower, surface.field(REFLECTED))
@@ -353,7 +355,7 @@ def _rounded(problem: Problem, surface: CoreSurface, path: PlanePath) -> PlaneCu
 def _pieces(
     surface: CoreSurface, level: Level, curves: Sequence[PlaneCurve], tilt: float, shortest: float
 ) -> tuple[list[PlaneCurve], list[float]]:
-    """What of the curves is laid in a layer, and the lengths of pieces that are too short for that [m]."""
+    """The pieces of the curves that are laid in a layer, and the lengths of those that are too short [m]."""
     field = surface.field(level)
     kept: list[PlaneCurve] = []
     short: list[float] = []
@@ -370,7 +372,7 @@ def _pieces(
 
 
 def _lengths_within(space: _Cavity, level: Level, paths: Sequence[PlanePath], tilt: float) -> Iterator[float]:
-    """How much [m] of each of some paths lies where a layer has room, if any does."""
+    """For each path that lies partly where a layer has room, the length of that part [m]."""
     for path in paths:
         there = space.room(densify(path.points), tilt + _STEEPER) >= level.room
         if there.any():
@@ -378,7 +380,7 @@ def _lengths_within(space: _Cavity, level: Level, paths: Sequence[PlanePath], ti
 
 
 def _lay(surface: CoreSurface, rows: Sequence[Sequence[PlaneCurve]], width: float, share: float) -> list[Bead]:
-    """Beads `width` [m] wide and `share` times as high as their layers, those of one layer after another."""
+    """Beads `width` [m] wide and `share` times as high as their layers, layer by layer."""
     fields = [surface.field(level) for level in surface.levels]
     placed_on = [(layer, curve, *fields[layer].at(curve.points)) for layer, row in enumerate(rows) for curve in row]
     zeros = roll_zeros([normals for _, _, _, normals in placed_on])

@@ -1,8 +1,8 @@
-"""Coarse facets bent into the smooth surface that their corners stand on: curved PN triangles (Vlachos et al. 2001).
+"""Coarse facets bent into the smooth surface on which their corners lie: curved PN triangles (Vlachos et al. 2001).
 
-Programs that write facets put their corners onto the surface; between these a facet cuts through it. A facet becomes a
-cubic patch through its corners that is normal there to the mean of the facets around each. An edge at which facets meet
-in a sharper angle than a crease is no part of a smooth surface: means are taken on either side of it alone.
+Programs that write facets place their corners on the surface; between them a facet cuts through it. Each facet becomes
+a cubic patch through its corners, whose normal at a corner is the mean over the facets around it. An edge sharper than
+a crease is not part of a smooth surface: means are taken separately on either side of it.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ from scipy.sparse.csgraph import connected_components
 
 from planner.base.arrays import Array, Flags, Ints
 
-CREASE = np.radians(40.0)  # between facets: a round body of nine sides is round, an edge of a machined part is one
-_DECIMALS = 8  # of a metre: corners of two facets this near are one
-_FLATNESS = 2e-6  # m, of the small facets that a patch is divided into
+CREASE = np.radians(40.0)  # between facets: a nine-sided body still counts as round, a machined part has creases
+_DECIMALS = 8  # of a metre: corners of two facets that agree to these are one
+_FLATNESS = 2e-6  # m: deviation of the small facets into which a patch is divided
 _MOST_SIDES = 24  # of them along a patch's side
-MOST_PATCHES = 400_000  # small facets; where there are more, patches are divided less
+MOST_PATCHES = 400_000  # small facets; to stay below, patches are divided less
 
 
 def corner_normals(corners: Array, crease: float = CREASE) -> tuple[Array, Flags]:
-    """Unit normals (n, 3, 3) at the corners of facets (n, 3, 3), and which edges (n, 3) are smooth: k from corner k to k + 1.
+    """Unit normals (n, 3, 3) at the corners of facets (n, 3, 3), and which edges (n, 3) are smooth.
 
-    A normal is the mean of the facets around a corner as far as they are joined by smooth edges, weighted by their angles.
+    Edge k runs from corner k to corner k + 1.
+    A normal is the mean over the facets around a corner that are joined by smooth edges, weighted by their angles.
     """
     n = len(corners)
     edges = np.roll(corners, -1, axis=1) - corners
@@ -38,7 +39,7 @@ def corner_normals(corners: Array, crease: float = CREASE) -> tuple[Array, Flags
     one, other, sides = one[flat], other[flat], sides[flat]
     smooth = np.zeros((n, 3), dtype=bool)
     smooth[one, sides[:, 0]] = smooth[other, sides[:, 1]] = True
-    # across a smooth edge the corners at either end go together: k with k' + 1, and k + 1 with k'
+    # across a smooth edge the corners at either end belong together: k with k' + 1, and k + 1 with k'
     begin, end = 3 * one + sides[:, 0], 3 * one + (sides[:, 0] + 1) % 3
     begin_there, end_there = 3 * other + sides[:, 1], 3 * other + (sides[:, 1] + 1) % 3
     row, column = np.concatenate([begin, end]), np.concatenate([end_there, begin_there])
@@ -54,7 +55,7 @@ def corner_normals(corners: Array, crease: float = CREASE) -> tuple[Array, Flags
 
 
 def _neighbours(corners: Array) -> tuple[Ints, Ints, Ints]:
-    """Pairs of facets that share an edge, which no third one has: their numbers (m), (m), and of which side it is (m, 2)."""
+    """Pairs of facets that alone share an edge: their numbers (m), (m), and which side of each it is (m, 2)."""
     _, vertex = np.unique(np.round(corners.reshape(-1, 3), _DECIMALS), axis=0, return_inverse=True)
     facets = vertex.reshape(-1, 3).astype(np.int64)
     ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=-1).reshape(-1, 2)
@@ -63,13 +64,13 @@ def _neighbours(corners: Array) -> tuple[Ints, Ints, Ints]:
     first = np.flatnonzero(np.diff(key[order], prepend=-1))
     pairs = first[np.diff(first, append=len(key)) == 2]
     a, b = order[pairs], order[pairs + 1]
-    against = ends[a, 0] == ends[b, 1]  # else one of the two faces the other way
+    against = ends[a, 0] == ends[b, 1]  # otherwise one of the two faces the other way
     a, b = a[against], b[against]
     return a // 3, b // 3, np.column_stack([a % 3, b % 3])
 
 
 def bulges(corners: Array, normals: Array) -> Array:
-    """How far, about, the middle of each facet's sides (n, 3) is off the curve over it [m]."""
+    """Approximate distance between the middle of each facet's sides (n, 3) and the curve over it [m]."""
     edges = np.roll(corners, -1, axis=1) - corners
     turn = np.roll(normals, -1, axis=1) - normals
     return np.asarray(np.abs((edges * turn).sum(axis=2)) / 8.0)

@@ -1,9 +1,9 @@
-"""Curves that lie in space, or fall onto the part along another direction than z.
+"""Curves in space, or projected onto the part in a direction other than z.
 
-Each of their points has a foot on the surface: the nearest one (`project: normal`), or the first one that a line in some
-direction meets from outside. A surface that is seen from above has one place for each x and y, so that the feet's x and y
-are a plane curve that falls onto the same places along z: from there on all curves are alike. Only bodies that are known
-exactly have feet. Lengths are metres in the part frame.
+Each of their points has a foot on the surface: the nearest place (`project: normal`), or the first one that a line in a
+given direction meets from outside. A surface seen from above has one place for each x and y, so the feet's x and y form
+a plane curve that falls onto the same places along z: from there on all curves are treated alike. Feet are found only
+on bodies that are known exactly. Lengths are metres in the part frame.
 """
 
 from __future__ import annotations
@@ -19,23 +19,21 @@ from planner.problem.drawings import ProjectedLayersSpec
 from planner.toolpath.substrate.bodies import SubstrateBody
 from planner.toolpath.svg.outlines import PlanePath
 
-APART = 0.1e-3  # m between points of a curve whose feet are found
-OUTSIDE = 10.0  # m against the direction from a curve's points, from which lines come: farther than parts are large
-FARTHEST = 2.0 * OUTSIDE  # m that a line goes from there
-STEPS = 2000  # towards the surface, each as long as it is far
-NEAR, STEEP = 1e-4, 0.1  # m from the surface, and sine of the angle to it: from there lines go on to the tangent plane
-MET = 1e-9  # m from the surface, which a line has met
-JUMP = (
-    20.0  # times the way along a curve that its feet may go: beyond, they change from one side of the part to another
-)
+APART = 0.1e-3  # m between points of a curve for which feet are found
+OUTSIDE = 10.0  # m: lines start this far back from a curve's points, against the direction: more than the size of parts
+FARTHEST = 2.0 * OUTSIDE  # m: length of a line from there
+STEPS = 2000  # steps towards the surface, each as long as the distance to it
+NEAR, STEEP = 1e-4, 0.1  # m from the surface, sine of the angle to it: closer and steeper, step to the tangent plane
+MET = 1e-9  # m from the surface at which a line has met it
+JUMP = 20.0  # × a step along a curve: feet that move farther jump from one side of the part to another
 
 
 def fallen(
     problem: Problem, spec: ProjectedLayersSpec, body: SubstrateBody | None, paths: Sequence[PlanePath]
 ) -> list[PlanePath]:
-    """Paths (n, 2) that fall along z where the given ones, (n, 2) in the plane z = 0 or (n, 3) in space, fall as asked.
+    """Paths (n, 2) that fall along z where the given ones, (n, 2) in the plane z = 0 or (n, 3), fall as requested.
 
-    body: the part, where it is known exactly. Raises InputError for a curve that misses it, falls onto its underside, or
+    body: the part, if it is known exactly. Raises InputError for a curve that misses it, falls onto its underside, or
     jumps from one of its places to another.
     """
     if spec.project == "z" or body is None:
@@ -63,7 +61,7 @@ def _feet_of(problem: Problem, spec: ProjectedLayersSpec, body: SubstrateBody, p
     way, step = (np.linalg.norm(np.diff(each, axis=0), axis=1) for each in (feet, points))
     jumps = way > JUMP * np.maximum(step, APART)
     if jumps.any():
-        hint = "keep curves nearer to the surface than it is bent"
+        hint = "keep curves closer to the surface than its radius of curvature"
         raise _refused(problem, path, points[np.argmax(jumps)], "jumps from one place of the part to another", hint)
     plane = feet[:, :2]
     moved = np.append(True, np.linalg.norm(np.diff(plane, axis=0), axis=1) > MET)
@@ -76,7 +74,7 @@ def _feet_of(problem: Problem, spec: ProjectedLayersSpec, body: SubstrateBody, p
 
 
 def along(body: SubstrateBody, points: Array, direction: Array) -> Array:
-    """Where lines through points (n, 3) in a direction (3) first meet a body from outside (n, 3); NaN where they miss it."""
+    """Where lines through points (n, 3) in a direction (3) first meet a body from outside (n, 3); NaN for a miss."""
     gone = np.full(len(points), -OUTSIDE)
     going = np.arange(len(points))
     for _ in range(STEPS):
@@ -86,7 +84,7 @@ def along(body: SubstrateBody, points: Array, direction: Array) -> Array:
         going, here, away = going[on], here[on], away[on]
         if not len(going):
             break
-        # once near, the step to the tangent plane; far away no more than the distance, which passes nothing
+        # near the surface, step to the tangent plane; farther away, by the distance at most, which overshoots nothing
         slope = -(body.normals(here) @ direction)
         near = (np.abs(away) < NEAR) & (slope > STEEP)
         gone[going] += np.where(near, away / np.where(near, slope, 1.0), away)
@@ -96,7 +94,7 @@ def along(body: SubstrateBody, points: Array, direction: Array) -> Array:
 
 
 def _dense(points: Array) -> Array:
-    """Points (m, 3) along a polyline (n, 3), no farther apart than APART; its own among them."""
+    """Points (m, 3) along a polyline (n, 3), no farther apart than APART, including its own."""
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     count = np.maximum(np.ceil(step / APART).astype(int), 1)
     first = np.repeat(np.arange(len(step)), count)

@@ -21,23 +21,23 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
 from planner.base.compiled import inner_njit, njit
 
 _LEAF = 4  # facets in a leaf
-_BITS = 20  # of each coordinate, by which facets are sorted
-_DEPTH = 64  # of the stack: twice as many as boxes can be nested
-_UPWARD = 1e-6  # upward component of a facet's normal: below, it is not seen from above
+_BITS = 20  # of each coordinate that facets are sorted by
+_DEPTH = 64  # of the stack: twice the nesting of boxes that is possible
+_UPWARD = 1e-6  # least upward component of the normal of a facet that is seen from above
 _RIM = 1e-9  # of a facet: a point this little outside still lies on it, so that no ray slips between two
 _TINY = 1e-30
-_KEPT = 16  # trees of layers, each of some 10 MB where a part is large
+_KEPT = 16  # trees of layers, each of about 10 MB for a large part
 
 _DEGREE = 5
-_STIFF = 1e-7  # weight of third differences against a sample's: where nothing is known the surface goes on as it was
+_STIFF = 1e-7  # weight of third differences relative to a sample's: they extrapolate the surface where nothing is known
 _NEWTON_STEPS = 12
-_HALFWAY = 1.5  # times a step: less is the same step, but for rounding
-_CLOSE = 1e-12  # m: near enough to the nearest point
+_HALFWAY = 1.5  # × a step: less is the same step, apart from rounding
+_CLOSE = 1e-12  # m: a smaller step has reached the nearest point
 
 
 @dataclass(frozen=True)
 class FacetTree(ReadOnlyArrays):
-    """Facets, sorted so that neighbours stand together, and the boxes of a complete binary tree over them.
+    """Facets, sorted so that neighbours are close together, and the boxes of a complete binary tree over them.
 
     corners (n, 3, 3) [m], counter-clockwise seen from outside; normals (n, 3) of unit length
     low, high (m, 3)  of the boxes; box 0 holds all, box i those of 2 i + 1 and 2 i + 2, the last row is of leaves
@@ -52,7 +52,7 @@ class FacetTree(ReadOnlyArrays):
 
     @classmethod
     def of(cls, corners: Array, turned: int = 0) -> FacetTree:
-        """The tree of facets (n, 3, 3), n at least 1, none of them without an area."""
+        """The tree of facets (n, 3, 3), n at least 1, each with a non-zero area."""
         order = np.argsort(_morton(corners.mean(axis=1)), kind="stable")
         corners = np.ascontiguousarray(corners[order])
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -69,7 +69,7 @@ class FacetTree(ReadOnlyArrays):
 
     @classmethod
     def over(cls, grid: Array) -> FacetTree | None:
-        """The tree of facets between the places of a grid (n, m, 3), where these are no NaN; None without any."""
+        """The tree of facets between the places of a grid (n, m, 3), where they are not NaN; None if there are none."""
         a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
         facets = np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
         facets = facets[np.isfinite(facets).all(axis=(1, 2))]
@@ -80,24 +80,23 @@ class FacetTree(ReadOnlyArrays):
         return _distance(read_only(points), self.corners, self.low, self.high)
 
     def top(self, plane: Array) -> tuple[Array, Ints]:
-        """The highest facet that is seen from above at x, y (n, 2): z there [m], NaN where none is; its index, or -1."""
+        """The highest facet that is seen from above at x, y (n, 2): z there [m], or NaN; its index, or -1."""
         return _top(np.ascontiguousarray(plane), self.corners, self.normals, self.low, self.high)
 
     def upward(self, plane: Array) -> Array:
-        """Upward components (n,) of the normals of the highest facets at x, y (n, 2); NaN where none is."""
+        """Upward components (n,) of the normals of the highest facets at x, y (n, 2); NaN where there is none."""
         found = self.top(plane)[1]
         return np.where(found >= 0, self.normals[found, 2], np.nan)
 
 
 class LastTrees:
-    """Facets of what grows by layers, by how many of these are there: the last few that were asked for, since all of them
-    take gigabytes."""
+    """Facets of a part that grows by layers, by their number: the last few requested, as all would take gigabytes."""
 
     def __init__(self) -> None:
         self._trees: dict[int, FacetTree | None] = {}
 
     def of(self, solid: int, facets: Callable[[], FacetTree | None]) -> FacetTree | None:
-        """The tree of so many layers; facets: makes it."""
+        """The tree of `solid` layers, which `facets` makes."""
         tree = self._trees.pop(solid, None) or facets()
         self._trees[solid] = tree
         for old in list(self._trees)[:-_KEPT]:
@@ -106,7 +105,7 @@ class LastTrees:
 
 
 def _morton(points: Array) -> NDArray[np.uint64]:
-    """Points (n, 3) by the interleaved bits of their coordinates: near in this order is near in space."""
+    """Interleaved bits of the coordinates of points (n, 3): what is near in this order is near in space."""
     span = np.maximum(np.ptp(points, axis=0).max(), _TINY)
     cell = ((points - points.min(axis=0)) / span * (2**_BITS - 1)).astype(np.uint64)
     code = np.zeros(len(points), dtype=np.uint64)
@@ -168,7 +167,7 @@ def _distance(points: Array, corners: Array, low: Array, high: Array) -> Array:
     n, first_leaf = len(corners), len(low) // 2
     out = np.empty(len(points))
     stack = np.empty(_DEPTH, dtype=np.int64)
-    nearest = 0  # of the point before: a good guess for its neighbour
+    nearest = 0  # facet of the previous point: a good first guess for the next
     for i in range(len(points)):
         p = points[i]
         best = _facet_gap(p, corners[nearest])
@@ -188,7 +187,7 @@ def _distance(points: Array, corners: Array, low: Array, high: Array) -> Array:
             left, right = 2 * box + 1, 2 * box + 2
             if _box_gap(p, low[left], high[left]) < _box_gap(p, low[right], high[right]):
                 left, right = right, left
-            stack[size], stack[size + 1] = left, right  # the nearer one is looked at first
+            stack[size], stack[size + 1] = left, right  # the nearer one is searched first
             size += 2
         out[i] = np.sqrt(best)
     return out
@@ -251,18 +250,18 @@ class HeightField(ReadOnlyArrays):
 
     @property
     def span(self) -> tuple[Array, Array]:
-        """The rectangle's corners of least and of greatest x and y (2)."""
+        """The rectangle's corners with the least and the greatest x and y (2)."""
         return self.corner, self.corner + self.step * (np.array(self.coefficients.shape) - _DEGREE)
 
     def at(self, plane: Array) -> tuple[Array, Array]:
-        """Points (n, 3) and upward unit normals (n, 3) at x, y (n, 2), which are held within the rectangle."""
+        """Points (n, 3) and upward unit normals (n, 3) at x, y (n, 2), clamped to the rectangle."""
         values = _values(np.ascontiguousarray(plane), self.corner, self.step, self.coefficients, _BASIS)
         points = np.column_stack([plane, values[:, 0]])
         normals = np.column_stack([-values[:, 1], -values[:, 2], np.ones(len(plane))])
         return points, normals / np.linalg.norm(normals, axis=1)[:, None]
 
     def nearest(self, points: Array) -> Array:
-        """x, y (n, 2) of the places whose normals pass through points (n, 3), found from above or below them."""
+        """x, y (n, 2) of the places whose normals pass through points (n, 3), searched from above or below them."""
         return _nearest(read_only(points), self.corner, self.step, self.coefficients, _BASIS)
 
     def level(self, z: float) -> HeightField:
@@ -270,9 +269,9 @@ class HeightField(ReadOnlyArrays):
         return HeightField(self.corner, self.step, np.full(self.coefficients.shape, z))
 
     def refined(self, finer: HeightField) -> HeightField:
-        """The same surface with the knots of a finer one, whose distance is this one's halved some times over.
+        """The same surface with the knots of a finer one, whose spacing is this one's, halved some number of times.
 
-        Both begin at one corner, and this one reaches as far.
+        Both begin at the same corner, and this one reaches as far.
         """
         step, heights = self.step, self.coefficients
         while step > _HALFWAY * finer.step:
@@ -282,7 +281,7 @@ class HeightField(ReadOnlyArrays):
 
 
 def _halved(heights: Array) -> Array:
-    """Coefficients (n, m) of splines over knots twice as dense along the first axis (2 n - 5, m): Lane and Riesenfeld."""
+    """Coefficients (2 n - 5, m) of splines (n, m) with knots twice as dense along axis 0, by Lane and Riesenfeld."""
     apart = np.zeros((2 * len(heights) - 1, heights.shape[1]))
     apart[::2] = heights
     mask = np.array([comb(_DEGREE + 1, k) for k in range(_DEGREE + 2)]) / 2.0**_DEGREE
@@ -322,7 +321,7 @@ def fit(samples: Array, weights: Array, low: Array, high: Array, step: float) ->
 
 @inner_njit
 def _value(x: float, y: float, corner: Array, step: float, c: Array, basis: Array, out: Array) -> None:
-    """Fill f and its derivatives by x, y, xx, xy, yy (6) at a place that is held within the rectangle."""
+    """Fill f and its derivatives by x, y, xx, xy, yy (6) at a place, clamped to the rectangle."""
     u = min(max((x - corner[0]) / step, 0.0), c.shape[0] - 5.0)
     v = min(max((y - corner[1]) / step, 0.0), c.shape[1] - 5.0)
     i, j = min(int(u), c.shape[0] - 6), min(int(v), c.shape[1] - 6)
@@ -361,7 +360,7 @@ def _values(plane: Array, corner: Array, step: float, c: Array, basis: Array) ->
 
 @njit
 def _nearest(points: Array, corner: Array, step: float, c: Array, basis: Array) -> Array:
-    """Newton's method for the nearest place; where the surface bends away from it, steps of the distance alone."""
+    """Newton's method for the nearest place; Gauss-Newton steps where the Hessian is not safely positive."""
     out = np.empty((len(points), 2))
     f = np.empty(6)
     wide, deep = (c.shape[0] - 5) * step, (c.shape[1] - 5) * step

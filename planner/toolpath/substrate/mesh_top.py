@@ -1,8 +1,8 @@
-"""The top of a mesh: its facets, and the smooth surface that beads lie on, which is a stated distance off them at most.
+"""The top of a mesh: its facets, and the smooth surface on which beads lie, within a stated distance of them.
 
-Facets that are fine need none to speak of. Coarse ones are bent into the surface that their corners stand on
-(`curved_facets`); of noisy ones, as of a scan, the surface keeps what they have in common. Lengths are metres in the part
-frame.
+For fine facets that distance is negligible. Coarse ones are bent into the surface on which their corners lie
+(`curved_facets`); of noisy ones, as from a scan, the surface keeps what they have in common. Lengths are metres in the
+part frame.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
 
 Part = Callable[[Array], Flags]  # which places x, y (n, 2) belong to it
 
-FARTHEST_FROM_FACETS = 5e-5  # m, of the smooth surface, at the curves; of coarse or noisy facets more:
-MOST_UNASKED = 5e-4  # m, where nothing is said of it,
-MOST_ASKED = 5e-3  # m, and at most: beyond, it is another part
-_COARSE = 2e-5  # m by which facets bulge from which on they are bent: less costs no speed
-_BETTER = 0.85  # times as far off: else twice the knots are no better
-_STALLS = 0.7  # times the root mean square: noise is hardly less with twice the knots, a shape's error far less
-_EVEN = 8.0  # times the median: the worst of noise; an edge or a bump is alone
-_ROUGH = 0.5  # correlation of what is off, a facet apart: of noise less, of a shape more
-_SMALL = 0.1  # quantile of facets' heights
-_A_FACET = 1.5  # heights of a facet between knots at least: closer ones repeat the facets' own steps
-_COARSEST, _FINEST = 4, 64  # knots of the smooth surface along the longer side of what is covered
-_SAMPLES = 240  # of the facets along that side
-_FARTHEST_NEAR = 5e-3  # m: facets larger than this are looked at no farther aside
-_ASIDE = 1e-3  # weight of the facets that no curve comes near, against those at a curve
-_STEEPEST = 0.17  # upward component of a facet's normal: steeper ones say nothing of the surface
+FARTHEST_FROM_FACETS = 5e-5  # m: greatest distance of the smooth surface from the facets, at the curves
+MOST_UNASKED = 5e-4  # m: the same for coarse or noisy facets, by default
+MOST_ASKED = 5e-3  # m: the most that can be requested; farther off, it is another part
+_COARSE = 2e-5  # m: facets that bulge by more are bent; a smaller bulge costs no speed
+_BETTER = 0.85  # × the error: twice the knots count as better only if they bring it below this
+_STALLS = 0.7  # × the rms error: with twice the knots, noise stays above this; a shape's error falls far below
+_EVEN = 8.0  # × the median error: noise stays below; an edge or a bump stands out
+_ROUGH = 0.5  # correlation of errors one facet apart: less for noise, more for a shape
+_SMALL = 0.1  # quantile of facets' heights that counts as their least
+_A_FACET = 1.5  # least heights of a facet between knots: closer knots reproduce the facets' own steps
+_COARSEST, _FINEST = 4, 64  # knots of the smooth surface along the longer side of the covered area
+_SAMPLES = 240  # samples of the facets along that side
+_FARTHEST_NEAR = 5e-3  # m: facets, however large, extend the reach no farther than this
+_ASIDE = 1e-3  # weight of facets away from all curves, relative to those near a curve
+_STEEPEST = 0.17  # least upward component of a facet's normal: steeper ones are ignored
 _TOO_STEEP = float(np.degrees(np.arccos(_STEEPEST)))  # deg from the horizontal
 _NEXT = 1e-3  # m: points of curves this near follow each other
 
 
 class TooRoughMesh(ValueError):
-    """Every smooth surface leaves the facets by `gap` at `place` (2) [m] at least: they have an edge there, or noise.
+    """Every smooth surface deviates from the facets by at least `gap` at `place` (2) [m]: an edge, or noise.
 
-    gaps (n)  how far the closest one leaves them at the curves
+    gaps (n)  deviation of the closest one at the curves
     """
 
     def __init__(self, gap: float, place: Array, gaps: Array) -> None:
@@ -60,14 +60,14 @@ class TooRoughMesh(ValueError):
 
     @property
     def words(self) -> str:
-        """What lets a smooth surface be laid all the same, if anything; an ending of a hint."""
+        """The end of a hint: the setting that allows a smooth surface all the same, if there is one."""
         if self.gap > MOST_ASKED:
             return ""
-        return f"; smooth_mm: {enough(self.gap)} takes a surface that far off the facets, edges rounded"
+        return f"; smooth_mm: {enough(self.gap)} allows a surface that far off the facets, with rounded edges"
 
 
 def enough(gap: float) -> str:
-    """A value of smooth_mm for a surface that is so far off the facets [m]."""
+    """A value of smooth_mm that allows a surface this far off the facets [m]."""
     return f"{np.ceil(gap * 1e5 + 0.5) / 100:.2f}"
 
 
@@ -75,10 +75,10 @@ def enough(gap: float) -> str:
 class MeshTop:
     """The top of a mesh, solid beneath: facets for distances, a smooth surface near curves for points and normals.
 
-    gap   by how much the smooth surface leaves the facets at the curves, at most [m]
-    why   the facets are followed no closer: "coarse", "noisy", "asked", or empty
-    turn  of its normals from the facets' at the curves: the greatest and the mean [rad]
-    too_far  how far a smooth surface through coarse facets' corners would be off them [m], where that is too far
+    gap   greatest deviation of the smooth surface from the facets at the curves [m]
+    why   the reason for following the facets no closer: "coarse", "noisy", "asked", or empty
+    turn  greatest and mean angle between its normals and the facets' at the curves [rad]
+    too_far  distance of a smooth surface through coarse facets' corners from them [m], if that is too far
     """
 
     facets: FacetTree
@@ -92,11 +92,11 @@ class MeshTop:
     def near(
         cls, facets: FacetTree, curves: Array, reach: float, part: Part | None = None, bound: float | None = None
     ) -> MeshTop:
-        """Lay a smooth surface through facets near curves, given as points x, y (n, 2) that all fall onto facets.
+        """Fit a smooth surface to facets near curves, given as points x, y (n, 2) that all fall onto facets.
 
-        Near is what is within `reach` [m] (see reach_beside); where `part` is given, what it says no to counts nowhere,
-        and the surface goes on there as it was. The surface leaves the facets at a curve by at most `bound` [m]; where
-        that is None by FARTHEST_FROM_FACETS, or by MOST_UNASKED where they are coarse or noisy. Raises TooRoughMesh.
+        Near means within `reach` [m] (see reach_beside); if `part` is given, places it rejects are ignored, and the
+        surface is extrapolated there. At a curve the surface deviates from the facets by at most `bound` [m]; if None,
+        by FARTHEST_FROM_FACETS, or by MOST_UNASKED where facets are coarse or noisy. Raises TooRoughMesh.
         """
         near = _Near.of(facets, curves, reach)
         closest: _SmoothedFacets | None = None
@@ -120,18 +120,18 @@ class MeshTop:
 
     @property
     def words(self) -> str:
-        """What is to be said of facets that were turned, and of a surface that leaves them by more than usual."""
+        """Notes on facets that were turned, and on a surface that deviates from them by more than usual."""
         turned = turned_words(self.facets.turned) if self.facets.turned else ""
         return "; ".join(each for each in (turned, self._smoothed) if each)
 
     @property
     def told_gap(self) -> float:
-        """By how much the surface is told to leave the facets [m]; 0 where that is no more than usual."""
+        """The reported deviation of the surface from the facets [m]; 0 if it is no more than usual."""
         return self.gap if self.why else 0.0
 
     @property
     def _smoothed(self) -> str:
-        """What is to be said of a surface that leaves the facets by more than usual, or would have to."""
+        """A note on a surface that deviates from the facets by more than usual, or would have to."""
         if MOST_UNASKED < self.too_far <= MOST_ASKED:
             return (
                 f"facets are coarse, and the nozzle turns from one to the next: a smooth surface through their corners is "
@@ -148,7 +148,7 @@ class MeshTop:
         )
 
     def at(self, plane: Array) -> tuple[Array, Array]:
-        """Points and outward unit normals (n, 3) of the smooth surface at x, y (n, 2), a hair beyond the facets too."""
+        """Points and outward unit normals (n, 3) of the smooth surface at x, y (n, 2), even just beyond the facets."""
         return self.surface.at(plane)
 
     def upward(self, plane: Array) -> Array:
@@ -166,15 +166,16 @@ class MeshTop:
         return np.where(inside, -1.0, 1.0) * self.facets.distance(points)
 
     def shape(self) -> Shape:
-        """The facets, or of too many only where the smooth surface is."""
+        """The facets or, if there are too many, the smooth surface."""
         return facets_shape(self.facets.corners) or skin_shape(self.at, *self.surface.span)
 
 
 @dataclass(frozen=True)
 class _SmoothedFacets:
-    """A smooth surface with knots `apart` [m]: how far it is off what it goes through at curves (n), and off the facets.
+    """A smooth surface with knots `apart` [m].
 
-    gaps   likewise from the facets (n)
+    off    how far it lies above its target at the curves (n) [m]
+    gaps   its distance from the facets there (n) [m]
     """
 
     surface: HeightField
@@ -216,16 +217,16 @@ class _Near:
 
     @property
     def span(self) -> tuple[Array, Array]:
-        """The rectangle's corners of least and of greatest x and y (2)."""
+        """The rectangle's corners with the least and the greatest x and y (2)."""
         return self.curves.min(axis=0) - self.reach, self.curves.max(axis=0) + self.reach
 
     @property
     def least(self) -> float:
-        """Least distance of knots [m]."""
+        """Least distance between knots [m]."""
         return _A_FACET * _narrowness(self.facets.corners[self.found])
 
     def targets(self, bound: float | None) -> Iterator[tuple[FacetTree, str]]:
-        """What a smooth surface may go through, and why it is not the facets."""
+        """Targets for a smooth surface to fit, and why, where they are not the facets."""
         if (bound is None or bound > FARTHEST_FROM_FACETS) and self._bulge() > _COARSE:
             curved = self._curved()
             if curved is not None:
@@ -233,7 +234,7 @@ class _Near:
         yield self.facets, ""
 
     def _bulge(self) -> float:
-        """How far facets under the curves bulge at most, about, from what their normals turn from one to the next [m]."""
+        """Approximate greatest bulge of the facets under the curves, by the turn of their normals [m]."""
         step = np.flatnonzero(
             (self.found[1:] != self.found[:-1]) & (np.abs(np.diff(self.curves, axis=0)) < _NEXT).all(1)
         )
@@ -246,7 +247,7 @@ class _Near:
         return float((turn * height)[smooth].max(initial=0.0)) / 8.0
 
     def _curved(self) -> FacetTree | None:
-        """The facets near the curves, bent; None where they do not bulge, or more than any surface may be off."""
+        """The facets near the curves, bent; None if they hardly bulge."""
         low, high = self.span
         corners = self.facets.corners
         there = _over(corners, low, high)
@@ -258,7 +259,7 @@ class _Near:
         return FacetTree.of(bent(chosen, normals)) if bulges(chosen, normals).max() > _COARSE else None
 
     def steps(self, target: FacetTree, part: Part | None) -> Iterator[_SmoothedFacets]:
-        """Surfaces through a target with ever more knots; none where all of it is too steep."""
+        """Surfaces fitted to a target with ever more knots; none if all of it is too steep."""
         low, high = self.span
         side = float((high - low).max())
         z, found = target.top(self.curves)
@@ -275,7 +276,7 @@ class _Near:
             knots *= 2
 
     def rough(self, off: Array) -> bool:
-        """Whether what is off at the curves (n) is another thing from facet to facet, as noise is."""
+        """Whether the errors at the curves (n) vary from facet to facet, as noise does."""
         step = np.linalg.norm(np.diff(self.curves, axis=0), axis=1)
         usual = float(np.median(step))
         lag = max(round(_narrowness(self.facets.corners[self.found]) / usual), 1)
@@ -297,9 +298,9 @@ class _Near:
 def _kept(
     ever_finer: Iterator[_SmoothedFacets], steps: list[_SmoothedFacets], near: _Near, bound: float | None
 ) -> tuple[_SmoothedFacets, bool] | None:
-    """Which of the surfaces is laid, and whether what it leaves out is noise; None where all are too far off.
+    """The surface to use, and whether what it leaves out is noise; None if all are too far off.
 
-    Those that were looked at are appended to `steps`.
+    Those that were tried are appended to `steps`.
     """
     asked = bound is not None and bound > FARTHEST_FROM_FACETS
     far = MOST_UNASKED if bound is None else bound if asked else FARTHEST_FROM_FACETS
@@ -321,7 +322,7 @@ def _kept(
 
 
 def _close(step: _SmoothedFacets, far: float) -> bool:
-    """Whether a surface is as near to what it goes through as facets need, and near enough to the facets [m]."""
+    """Whether a surface is close enough to its target, and within `far` of the facets [m]."""
     return step.most <= FARTHEST_FROM_FACETS and step.gap <= far
 
 
@@ -341,12 +342,12 @@ def _heights(corners: Array) -> Array:
 
 
 def _narrowness(corners: Array) -> float:
-    """The least height of facets (n, 3, 3) [m], where they are small: where nothing bends they may be of any size."""
+    """The height of small facets among (n, 3, 3) [m]: where nothing bends, facets may be of any size."""
     return float(np.quantile(_heights(corners), _SMALL))
 
 
 def reach_beside(facets: FacetTree, curves: Array, least: float) -> float:
-    """How far beside curves (n, 2) facets are looked at: `least` [m], or farther where they are larger."""
+    """How far beside curves (n, 2) facets count: `least` [m], or farther if they are larger."""
     size = np.linalg.norm(np.diff(facets.corners[facets.top(curves)[1]], axis=1), axis=2).max(axis=1)
     return max(least, min(float(np.median(size)), _FARTHEST_NEAR))
 
@@ -356,7 +357,7 @@ def _samples(
 ) -> tuple[Array, Array]:
     """Points (n, 3) of the facets on a grid, and the weights (n) of their squared heights; curves (m, 3).
 
-    A height counts as much as the distance from the surface that it stands for, and nothing beyond a cliff.
+    A height counts as much as the distance from the surface that it represents; beyond a cliff, nothing counts.
     """
     step = float((high - low).max()) / _SAMPLES
     axes = [np.arange(a + 0.5 * step, b, step) for a, b in zip(low, high, strict=True)]
@@ -365,7 +366,7 @@ def _samples(
     z, found = facets.top(grid)
     up = np.where(found >= 0, facets.normals[found, 2], 0.0)
     weights = np.where(away <= reach, 1.0, _ASIDE) * up**2
-    beyond = np.abs(z - curves[nearest, 2]) * _STEEPEST > away + step  # as no slope would take it
+    beyond = np.abs(z - curves[nearest, 2]) * _STEEPEST > away + step  # where no slope would lead
     keep = (up > _STEEPEST) & ~beyond
     if part is not None:
         keep &= part(grid)

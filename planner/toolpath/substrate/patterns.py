@@ -18,7 +18,7 @@ Inside = Callable[[Array], NDArray[np.bool_]]
 
 MOST_CELLS = 100_000
 THINNEST_CELL = 4.0  # widths: in a narrower honeycomb cell the beads of two walls touch
-_ROOM = 1e-9  # m: a cell that just fits, fits
+_ROOM = 1e-9  # m: a cell counts as fitting if it is too large by no more
 _SIDES = {"honeycomb": "cell", "squares": "cell", "zigzag": "pair of lines", "concentric": "line"}
 
 
@@ -27,7 +27,7 @@ class NoPattern(ValueError):
 
 
 def pattern(spec: PatternSpec, width: float, flatness: float) -> tuple[PlanePath, ...]:
-    """The lines of a pattern, `width` [m] apart where two run side by side, curves within `flatness` [m] of chords.
+    """The lines of a pattern, `width` [m] apart where two run side by side, chords within `flatness` [m] of curves.
 
     Raises NoPattern where nothing fits into the outline, or too much does.
     """
@@ -60,10 +60,10 @@ def _inside(spec: PatternSpec) -> Inside:
 
 
 def _honeycomb(spec: PatternSpec, width: float) -> list[PlanePath]:
-    """Ribbons, as real honeycomb is made of: each folds along half of the walls of a row of cells.
+    """Ribbons, like those of real honeycomb: each follows half of the walls of a row of cells.
 
-    A ribbon is one line. Sloping walls stand once; where two ribbons meet, in every third wall, they stand side by
-    side. A pattern with each wall once would have to start anew at every second junction, three walls apart.
+    A ribbon is one line. Sloping walls are single; where two ribbons meet, in every third wall, they run side by side.
+    With single walls throughout, the bead would have to restart at every second junction, three walls apart.
     """
     side, half = spec.cell / np.sqrt(3.0), 0.5 * spec.cell
     across, up = int(spec.size[0] / (1.5 * side)) + 2, int(spec.size[1] / half) + 2
@@ -71,7 +71,7 @@ def _honeycomb(spec: PatternSpec, width: float) -> list[PlanePath]:
     hexagon = np.array(
         [[-side, 0], [-0.5 * side, half], [0.5 * side, half], [side, 0], [0.5 * side, -half], [-0.5 * side, -half]]
     )
-    # Columns and half cells upwards; a cell's centre stands where both are even or both are odd.
+    # Columns and half cells upwards; a cell's centre lies where both are even or both are odd.
     i, k = (a.ravel() for a in np.meshgrid(np.arange(-across, across + 1), np.arange(-up, up + 1), indexing="ij"))
     even = (i + k) % 2 == 0
     i, k = i[even], k[even]

@@ -1,6 +1,6 @@
 """Plane curves projected along z onto a body, layer on layer (Pollard et al., section 4.1).
 
-What of them cannot be printed is cut, told and drawn (`clipping.py`).
+Parts that cannot be printed are cut, reported and drawn (`clipping.py`).
 """
 
 from __future__ import annotations
@@ -79,17 +79,17 @@ from planner.toolpath.svg.outlines import PlanePath, read_svg_once
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.workload import check_curves
 
-_ASIDE = 1e-5  # m, to either side, for the slope of what a plane point is mapped to
+_ASIDE = 1e-5  # m to either side of a plane point for finite differences of its projection
 
 REACH = 2.0  # bead widths beside a curve within which the surface counts
-_SWING = 0.9  # of the corner tolerance, by which a rounded curve leaves a straight line between corners
-RESERVE = 1.02  # the stretch varies within a tolerance
-_EDGES = 1e-3  # m between points of faces' edges
-_EDGE_ROUNDS = 5  # of cutting paths where edges keep surfaces from being smooth
+_SWING = 0.9  # × the corner tolerance: how far a rounded curve leaves a straight line between corners
+RESERVE = 1.02  # factor on the stretch, which varies within a tolerance
+_EDGES = 1e-3  # m between points on faces' edges
+_EDGE_ROUNDS = 5  # rounds of cutting paths where edges keep surfaces from being smooth
 _FROM_EDGES, _LEAST_FROM_EDGES = 2.0, 1e-3  # bead widths and m from an edge at which paths are cut
-_BEFORE_EDGES = 0.8  # of that: so far beside paths the surface is known
-_FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
-_TURNED, _ABOVE = 0.1, 1e-6  # of the curves, and m: noise turns single facets over, by little
+_BEFORE_EDGES = 0.8  # × that: how far beside paths the surface is known
+_FOLDED = 0.2  # least reserve of a layer against folding: 1 on the body, 0 where it folds
+_TURNED, _ABOVE = 0.1, 1e-6  # share of the curves, and m: noise turns over single facets only, and by little
 
 
 ProjectedSpec = (
@@ -102,8 +102,8 @@ class Substrate:
     """A body and the layers on it, each `height` [m] above the one before: along the normal, or along z.
 
     layers   of all beads in print order
-    solid    how many layers count as there; beneath the layer that is printed the body has grown everywhere
-    facings  what the nozzle is normal to along each bead, where that is not the layer itself
+    solid    how many layers count as printed: beneath the layer being printed, the body has grown everywhere
+    facings  normals that the nozzle follows along each bead, if not the layer's own
     """
 
     body: SubstrateBody
@@ -114,7 +114,7 @@ class Substrate:
     facings: tuple[Facing, ...] = ()
 
     def before(self, bead: int) -> Substrate:
-        """The surface when the first `bead` beads have been printed: the last one's layer lies on it."""
+        """The surface after the first `bead` beads: the one on which the last one's layer lies."""
         return replace(self, solid=self.layers[bead - 1] if bead > 0 else 0)
 
     def signed_distance(self, points: Array) -> Array:
@@ -135,11 +135,11 @@ class Substrate:
         return self.body.normals(points)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """The layer's at the tips (n, 3), or those that a bead follows instead, at arc lengths s (n)."""
+        """The layer's normals at the tips (n, 3), or those that a bead follows instead, at arc lengths s (n)."""
         return self.facings[bead].at(s) if self.facings else self.normals(tips)
 
     def project(self, plane: Array, layer: int) -> tuple[Array, Array]:
-        """Nozzle tip and normals (n, 3) above plane points (n, 2): layer k's runs k + 1 layer heights above the body."""
+        """Nozzle tip and normals (n, 3) above plane points (n, 2): layer k lies k + 1 layer heights above the body."""
         points, normals = self.body.at(plane)
         way = np.array([0.0, 0.0, 1.0]) if self.along_z else normals
         return points + (layer + 1) * self.height * way, normals
@@ -147,8 +147,7 @@ class Substrate:
     def stretch(self, plane: Array, layer: int) -> tuple[Array, Array]:
         """How much a layer stretches short lines at plane points (n, 2), and its reserve against folding.
 
-        Returns the greatest stretch (n), and by how much less the layer is bent than would fold it (n): 1 on the body
-        itself, 0 or less where it is folded.
+        Returns the greatest stretch (n), and the reserve (n): 1 on the body itself, 0 or less where the layer folds.
         """
         steps = np.array([[_ASIDE, 0.0], [0.0, _ASIDE]])
         slope = [
@@ -161,7 +160,7 @@ class Substrate:
         return greatest, area * normals[:, 2]
 
     def facing(self, curves: Sequence[Sequence[PlaneCurve]], blend: float, facets: FacetTree) -> Substrate:
-        """The same where the nozzle is normal to facets along plane curves, those of one layer after another."""
+        """The same with the nozzle normal to facets along plane curves, given layer by layer."""
         facings = []
         for layer, row in enumerate(curves):
             for curve in row:
@@ -171,7 +170,7 @@ class Substrate:
         return replace(self, facings=tuple(facings))
 
     def lay(self, curves: Sequence[Sequence[PlaneCurve]], width: float, height: float) -> list[Bead]:
-        """Beads `width` and `height` [m] along plane curves, those of one layer after another, in print order."""
+        """Beads `width` and `height` [m] along plane curves, given layer by layer, in print order."""
         placed = [
             (layer, curve, *self.project(curve.points, layer)) for layer, row in enumerate(curves) for curve in row
         ]
@@ -199,8 +198,8 @@ class Substrate:
 def project_curves(problem: Problem, spec: ProjectedSpec) -> Toolpath:
     """Round the corners of plane paths, order them and lay their layers on the part.
 
-    Raises InputError where more of the paths cannot be printed than may be left out, and for a part that nothing can be
-    laid on.
+    Raises InputError if more of the paths cannot be printed than may be left out, and for a part on which nothing can
+    be laid.
     """
     try:
         substrate, clipped, curves = _plane_curves(problem, spec, spec.source.crumbs)
@@ -232,7 +231,7 @@ def _plane_curves(
     spec: ProjectedSpec,
     most: float,
 ) -> tuple[Substrate, Clipped, list[PlaneCurve]]:
-    """The part and the rounded curves on it, and what was cut from them; TooMuchCut beyond a share `most` of the length."""
+    """The part, the cuts and the rounded curves left; raises TooMuchCut above a share `most` of the length."""
     process, source, part = problem.process, spec.source, problem.part
     if part is None:
         raise problem.error("part", "is missing", f"the body to project onto: {' or '.join(spec.bodies)}")
@@ -293,7 +292,7 @@ def size_key(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec) -
 def paths_of(
     problem: Problem, source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec
 ) -> tuple[PlanePath, ...]:
-    """The paths alone of `paths_and_notes`; of curves in space what is seen from above."""
+    """The paths of `paths_and_notes`, without the notes; curves in space as seen from above."""
     paths = paths_and_notes(problem, source)[0]
     return tuple(replace(path, points=np.ascontiguousarray(path.points[:, :2])) for path in paths)
 
@@ -301,7 +300,7 @@ def paths_of(
 def paths_and_notes(
     problem: Problem, source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec
 ) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:
-    """The paths of a source, (n, 2) or of curves in space (n, 3), and what is told of its file.
+    """The paths of a source, (n, 2) or of curves in space (n, 3), and notes on its file.
 
     Raises InputError for one that gives none.
     """
@@ -334,7 +333,7 @@ def placed(path: PlanePath, spec: OnPartSpec) -> PlanePath:
 
 
 def _body(problem: Problem, part: PartSpec, clipped: Clipped, most: float) -> tuple[SubstrateBody, Clipped]:
-    """The body, and what of the paths falls onto it where it can be printed on."""
+    """The body, and the pieces of the paths that fall onto it where it can be printed on."""
     exact = exact_body(part)
     if exact is not None:
         return exact, _fitting(problem, exact, clipped, most)
@@ -350,7 +349,7 @@ def _body(problem: Problem, part: PartSpec, clipped: Clipped, most: float) -> tu
         there = _fitting(problem, scanned.facets, clipped, most)
         return scanned.top, replace(there, told=(*there.told, scanned.words))
     if part.mesh is None:
-        raise problem.error("part", f"a {part.body} is nothing to project onto")
+        raise problem.error("part", f"curves cannot be projected onto a {part.body}")
     facets = top_facets(part.mesh, complain)
     below = beneath_turned(facets, np.vstack([densify(path.points) for path in clipped.paths]))
     if below.mean() > _TURNED:
@@ -383,10 +382,10 @@ def beneath_turned(facets: FacetTree, plane: Array) -> Flags:
 
 
 def nothing_falls(problem: Problem, what: str, curves: Array, body: Array | None) -> InputError:
-    """The InputError of curves (n, 2), all beside the body that they are to fall onto, of which places (m, 2) may be known."""
+    """The InputError for curves (n, 2) that all miss the body they are to fall onto; body: places (m, 2), if known."""
     field, reason, spec = "layers.centre_mm", f"no curve falls onto the {what}", problem.layers
     if body is None or not isinstance(spec, OnPartSpec):
-        return problem.error(field, reason, "the middle of the curves, x and y of the part frame")
+        return problem.error(field, reason, "set the middle of the curves, x and y in the part frame")
     spans = [np.array([points.min(axis=0), points.max(axis=0)]) * 1e3 for points in (curves, body)]
     here, there = ("x {:.1f} to {:.1f}, y {:.1f} to {:.1f} mm".format(*span.T.ravel()) for span in spans)
     x, y = np.asarray(spec.centre) * 1e3 + spans[1].mean(axis=0) - spans[0].mean(axis=0)
@@ -395,7 +394,7 @@ def nothing_falls(problem: Problem, what: str, curves: Array, body: Array | None
 
 
 def _fitting(problem: Problem, body: SubstrateBody | FacetTree | UpperFaces, clipped: Clipped, most: float) -> Clipped:
-    """What of the paths falls onto a body where it is not too steep."""
+    """The pieces of the paths that fall onto a body where it is not too steep."""
     if not any(np.isfinite(body.upward(densify(path.points))).any() for path in clipped.paths):
         seen = None
         if isinstance(body, FacetTree):
@@ -411,8 +410,10 @@ def _fitting(problem: Problem, body: SubstrateBody | FacetTree | UpperFaces, cli
 def _mesh_body(
     problem: Problem, smooth: float | None, facets: FacetTree, clipped: Clipped, most: float
 ) -> tuple[MeshTop, Clipped]:
-    """The mesh with a smooth surface near paths, `smooth` [m] off facets at most; they are cut where edges forbid it, by a
-    share `most` of all at most."""
+    """The mesh with a smooth surface near paths, at most `smooth` [m] off it, and the paths, cut at edges if needed.
+
+    most: greatest share of their length that may be cut
+    """
     width = problem.process.bead.width
     beside = max(_FROM_EDGES * width, _LEAST_FROM_EDGES)
 
@@ -421,7 +422,7 @@ def _mesh_body(
         reach = reach_beside(facets, near, REACH * width)
         if not cut:
             return MeshTop.near(facets, near, reach, bound=smooth)
-        tree = cKDTree(near)  # beyond an edge is another surface
+        tree = cKDTree(near)  # beyond an edge there is another surface
         return MeshTop.near(
             facets, near, min(reach, _BEFORE_EDGES * beside), lambda grid: _within(tree, grid, beside), smooth
         )
@@ -453,8 +454,10 @@ def _within(tree: cKDTree, plane: Array, beside: float) -> Flags:
 
 
 def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
-    """The facets of a mesh, turned as their neighbours are, some of which face upwards, else InputError; for `where` see
-    read_facets."""
+    """The facets of a mesh, turned to agree with their neighbours; InputError if none faces upwards.
+
+    For `where` see read_facets.
+    """
     facets = FacetTree.of(*facing_alike(read_facets(spec, where)))
     if facets.normals[:, 2].max() <= 0.0:
         raise where(
@@ -467,7 +470,7 @@ def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
 def smooth_top(
     facets: FacetTree, curves: Array, reach: float, bound: float | None, where: Complaint, part: Part | None = None
 ) -> MeshTop:
-    """The mesh with a smooth surface near curves (n, 2), else InputError; for the others see MeshTop.near."""
+    """The mesh with a smooth surface near curves (n, 2), else InputError; for the other arguments see MeshTop.near."""
     try:
         return MeshTop.near(facets, curves, reach, part, bound)
     except TooRoughMesh as error:
@@ -506,12 +509,12 @@ def _step_body(problem: Problem, spec: StepSpec, upper: UpperFaces, clipped: Cli
 
 
 def _bends(substrate: Substrate, count: int) -> Callable[[Array], Ints]:
-    """What keeps places x, y (n, 2) from being printed on: layers fold where the part is bent inwards tightly."""
+    """Why places x, y (n, 2) cannot be printed on: layers fold where the part is bent inwards too tightly."""
     return lambda plane: np.where(substrate.stretch(plane, count - 1)[1] < _FOLDED, FOLDS, FITS)
 
 
 def _share(substrate: Substrate, count: int, dense: Array) -> Callable[[Array], Array]:
-    """How much shorter a line is in the plane than on the part, at least over the layers, at points (n, 2) of a path."""
+    """Length of a line in the plane over that on the part, the least of all layers, at points (n, 2) of a path."""
     tree = cKDTree(dense)
     values = np.maximum(substrate.stretch(dense, 0)[0], substrate.stretch(dense, count - 1)[0])
     return lambda plane: np.asarray(1.0 / (RESERVE * values[tree.query(plane)[1]]))

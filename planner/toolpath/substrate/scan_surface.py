@@ -1,8 +1,8 @@
-"""A scanned part: a smooth surface through points with noise, as stiff as the points that it was not made of allow.
+"""A scanned part: a smooth surface through noisy points, as stiff as cross-validation suggests.
 
-Heights over x and y are fitted by a spline, with ever more knots; half of the points tell which number of knots foretells the
-other half best. Fewer leave shape out, more repeat noise. The surface is cut into facets where there are points, and is a
-mesh from there on. Lengths are metres in the part frame.
+A spline is fitted to heights over x and y with ever more knots; of these, the number is chosen with which half of the
+points best predicts the other half. Fewer knots lose shape, more reproduce noise. Where there are points, the surface
+is cut into facets, and is a mesh from then on. Lengths are metres in the part frame.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from planner.problem.part import NOISIEST_MM, ScanSpec
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
 from planner.toolpath.substrate.mesh_top import MeshTop
 
-BESIDE = 10e-3  # m beside curves, or a wider bead's width, within which points count
-KNOTS = (4, 6, 8, 11, 16, 23, 32, 45, 64)  # of the surface along the longer side of what is covered
+BESIDE = 10e-3  # m beside curves within which points count, or a wider bead's width
+KNOTS = (4, 6, 8, 11, 16, 23, 32, 45, 64)  # of the surface along the longer side of the covered area
 _BINS = 240  # along that side: points in one bin count as their mean
-_FACETS, _LEAST_FACET = 300, 0.5e-3  # facets along that side, and m, the least of a facet
-_LOOKED = 200_000  # points by which the number of knots is chosen
-_BETTER = 0.998  # times the error of what is foretold: else more knots are no better
-_WORSE = 2  # times in a row that more knots foretell no better, after which no more are tried
-_NEAREST = 16  # points by which it is told how dense they are
-_HOLE, _LEAST_HOLE = 5.0, 2e-3  # usual distances of points, and m: no random points leave so wide a gap
-_GRID = 400  # along the longer side of the scan, by which holes are looked for
-_MANY = 0.2  # of the points: no strays, and no single step
-_AROUND = (12, 24, 48)  # points around a place by which it is told whether they lean off the surface,
-_SURE, _LEAN = 4.0, np.radians(0.5)  # by more standard errors than this, and rad beyond them
-_IN_LINE = 1e-3  # of the squared reach of points: less aside says nothing of a slope that way
-_PLACES = 1500  # of the curves that are looked at
+_FACETS, _LEAST_FACET = 300, 0.5e-3  # facets along that side, and the smallest facet in m
+_LOOKED = 200_000  # points at most in each of the two halves by which the number of knots is chosen
+_BETTER = 0.998  # × the prediction error: more knots count as better only if they bring it below this
+_WORSE = 2  # tries in a row without improvement after which no more knots are tried
+_NEAREST = 16  # neighbours by which the density of points is measured
+_HOLE, _LEAST_HOLE = 5.0, 2e-3  # × the usual distance between points, and m: random points leave no gap this wide
+_GRID = 400  # cells along the longer side of the scan when searching for holes
+_MANY = 0.2  # share of the points: too many to be strays or a single step
+_AROUND = (12, 24, 48)  # numbers of points around a place that are tested for a tilt against the surface
+_SURE, _LEAN = 4.0, np.radians(0.5)  # standard errors of that tilt, and rad beyond them, that are accepted
+_IN_LINE = 1e-3  # share of the points' squared extent: with less across, the slope that way is unknown
+_PLACES = 1500  # most places on the curves that are tested
 FEWEST = 200  # points near the curves
 
 
 @dataclass(frozen=True)
 class ScanSurface:
-    """The smooth surface of a scan near curves, as facets, and how far the points are off it.
+    """The smooth surface of a scan near curves, as facets, and how far the points deviate from it.
 
-    most, rms  of the points' distances from it [m];  count of these points;  apart: distance of its knots [m]
+    most, rms  of the points' distances from it [m];  count of these points;  apart: distance between its knots [m]
     """
 
     facets: FacetTree
@@ -59,7 +59,7 @@ class ScanSurface:
 
     @property
     def words(self) -> str:
-        """What is to be told of it."""
+        """A note on it."""
         return (
             f"part.scan: a smooth surface through {self.count} points near the curves, which are {self.most * 1e3:.3f} mm off "
             f"it at most, {self.rms * 1e3:.3f} mm root mean square; its knots are {self.apart * 1e3:.1f} mm apart"
@@ -69,7 +69,7 @@ class ScanSurface:
 def scan_surface(spec: ScanSpec, points: Array, curves: Sequence[Array], width: float, where: Complaint) -> ScanSurface:
     """The surface of points (n, 3) near curves, each of points x, y (k, 2), along which beads of a width [m] are laid.
 
-    Raises the InputError of `where` for holes under the curves, and for points that are farther off than the noise.
+    Raises the InputError of `where` for holes under the curves, and for points that deviate by more than the noise.
     """
     plane = np.vstack(curves)
     usual = _usual_distance(points)
@@ -99,14 +99,14 @@ def scan_surface(spec: ScanSpec, points: Array, curves: Sequence[Array], width: 
 
 
 def _too_far_off(spec: ScanSpec, off: Array, worst: Array, where: Complaint) -> InputError:
-    """The error of points that are `off` (n) the surface [m], the farthest of them at `worst` [mm]: many of them, or a few."""
+    """The error for points (n) `off` the surface [m], the farthest at `worst` [mm]: many of them, or a few."""
     most, share = float(np.abs(off).max()) * 1e3, float((np.abs(off) > spec.noise).mean())
     noise, (x, y) = spec.noise * 1e3, worst[:2]
     if share > _MANY and most > NOISIEST_MM:
         return where(
             f"{share:.0%} of the points of {spec.file.name} near the curves are more than noise_mm ({noise:g}) off the smooth "
-            f"surface, up to {most:.3f} mm at x {x:.1f}, y {y:.1f} mm: seen from above they are no single surface",
-            hint="leave out the underside and what lies beneath, or turn it with rpy_deg",
+            f"surface, up to {most:.3f} mm at x {x:.1f}, y {y:.1f} mm: seen from above they are not a single surface",
+            hint="leave out the underside and anything below the surface, or turn it with rpy_deg",
         )
     wider = np.ceil(most * 100) / 100
     return where(
@@ -118,8 +118,10 @@ def _too_far_off(spec: ScanSpec, off: Array, worst: Array, where: Complaint) -> 
 
 
 def _check_shape(spec: ScanSpec, points: Array, off: Array, plane: Array, usual: float, where: Complaint) -> None:
-    """Raise where points that are `off` (n) the surface [m] around curves x, y (k, 2) lean another way than it: noise does
-    not, but shape that is finer than the points tell does, and how a nozzle is to stand there is not known."""
+    """Raise where points (n) `off` the surface [m] are tilted against it around curves x, y (k, 2).
+
+    Noise does not tilt them. Shape too fine for the points to show does, and there the tool axis is unknown.
+    """
     places = plane[np.unique(np.linspace(0, len(plane) - 1, _PLACES).astype(np.int64))]
     near = cKDTree(points[:, :2]).query(places, k=_AROUND[-1])[1]
     usual_off, most, worst = float(np.median(np.abs(off))), 0.0, 0
@@ -145,14 +147,14 @@ def _check_shape(spec: ScanSpec, points: Array, off: Array, plane: Array, usual:
 
 
 def _usual_distance(points: Array) -> float:
-    """How far points are apart where they are as dense as usual, seen from above [m]."""
+    """Distance between points at their median density, seen from above [m]."""
     some = points[:: max(len(points) // _LOOKED, 1), :2]
     away = cKDTree(points[:, :2]).query(some, k=_NEAREST + 1)[0][:, -1]
     return float(np.median(away) * np.sqrt(np.pi / _NEAREST))
 
 
 def _check_holes(spec: ScanSpec, points: Array, plane: Array, hole: float, where: Complaint) -> None:
-    """Raise where a curve passes a place without points that lies within the scan, not beside it."""
+    """Raise where a curve crosses a place without points that lies within the scan, not outside it."""
     tree = cKDTree(points[:, :2])
     away = tree.query(plane)[0]
     bare = np.flatnonzero(away > 0.5 * hole)
@@ -179,7 +181,7 @@ def _check_holes(spec: ScanSpec, points: Array, plane: Array, hole: float, where
 
 
 def _knots_apart(points: Array, low: Array, high: Array, side: float) -> float:
-    """The distance of knots [m] with which half of the points foretells the other half best."""
+    """The distance between knots [m] with which half of the points best predicts the other half."""
     order = np.random.default_rng(0).permutation(len(points))[: 2 * _LOOKED]
     made, held = points[order[::2]], points[order[1::2]]
     best, least, worse = KNOTS[0], np.inf, 0
@@ -195,7 +197,7 @@ def _knots_apart(points: Array, low: Array, high: Array, side: float) -> float:
 
 
 def _fitted(points: Array, low: Array, high: Array, side: float, apart: float) -> HeightField:
-    """The spline with knots so far `apart` [m] that is nearest to points (n, 3); those of one bin count as their mean."""
+    """The spline with knots `apart` [m] that best fits points (n, 3); those of one bin count as their mean."""
     step = side / _BINS
     cell = np.floor((points[:, :2] - low) / step).astype(np.int64)
     _, which = np.unique(cell[:, 0] * (2 * _BINS) + cell[:, 1], return_inverse=True)
@@ -205,7 +207,7 @@ def _fitted(points: Array, low: Array, high: Array, side: float, apart: float) -
 
 
 def _off(field: HeightField, points: Array) -> Array:
-    """How far points (n, 3) lie above the surface, square to it (n) [m]."""
+    """Distance (n) by which points (n, 3) lie above the surface, perpendicular to it [m]."""
     foot, normals = field.at(points[:, :2])
     return np.asarray((points[:, 2] - foot[:, 2]) * normals[:, 2])
 

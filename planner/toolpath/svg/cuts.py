@@ -1,6 +1,6 @@
-"""What clip paths and masks leave of a drawing: of a filled shape the outline of what is seen, of a line what is seen.
+"""Clips and masks a drawing: of a filled shape, the outline of its visible area is left; of a line, its visible part.
 
-Only what is really cut becomes chords; the rest keeps its curves.
+Only shapes that are actually cut become chords; the rest keep their curves.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from planner.toolpath.svg.document import BLACK, MAX_POINTS, OPAQUE, UNPAINTED
 from planner.toolpath.svg.drawing import Outline, Region
 from planner.toolpath.svg.shapes import OutlinePiece
 
-_LEAST_OF_AREA = 3  # vertices: two points are a line, whatever it is filled with
+_LEAST_OF_AREA = 3  # vertices: two points are a line, whatever its fill
 _COUNTED = 100  # chords whose crossings with all others are counted
-_COARSE = 1e-4  # of the drawing's size: tolerance with which the size of what is left is found
+_COARSE = 1e-4  # of the drawing's size: tolerance for finding the size of what is left
 
 
 def cut_outlines(outlines: Sequence[Outline], share: float) -> list[Outline]:
-    """Return what is seen of the outlines, in their order.
+    """Return the visible parts of the outlines, in order.
 
     Curves that are cut become chords within `share` of the width of all that is left. Raises InputError for a mask
     that does not simply show or hide.
@@ -43,7 +43,7 @@ def extremes(outlines: Iterable[Outline]) -> Array:
 
 
 def _seen(outlines: Sequence[Outline], tolerance: float) -> list[Outline]:
-    """What is seen of each shape, with chords within the tolerance (user units) where it is cut."""
+    """The visible part of each shape, with chords within the tolerance (user units) where it is cut."""
     out: list[Outline] = []
     areas: dict[int, shapely.Geometry] = {}
     windows: dict[tuple[int, ...], tuple[shapely.Geometry, shapely.Geometry]] = {}
@@ -60,14 +60,14 @@ def _seen(outlines: Sequence[Outline], tolerance: float) -> list[Outline]:
 
 
 def _left(shape: list[Outline], seen: shapely.Geometry, near: shapely.Geometry, tolerance: float) -> list[Outline]:
-    """What is left of a shape inside of `seen`; `near` is that grown by the tolerance."""
+    """What is left of a shape inside `seen`; `near` is `seen` grown by the tolerance."""
     chords = [_chords(outline, tolerance) for outline in shape]
     area = _area(shape[0], chords, "fill-rule") if _filled(shape[0]) else shapely.Polygon()
     lines = [line for line in chords if shapely.is_empty(area) or len(line) < _LEAST_OF_AREA]
     if shapely.covers(near, area) and shapely.covers(near, _lines(chords)):
         return shape
     parts = [part for part in shapely.get_parts(shapely.intersection(area, seen)) if shapely.get_dimensions(part) == 2]
-    # what is thinner than the tolerance comes of edges that are drawn twice, by different chords
+    # parts thinner than the tolerance come from edges drawn twice, with different chords
     parts = [part for part in parts if not shapely.is_empty(shapely.buffer(part, -tolerance))]
     found = [(shapely.get_coordinates(ring), True) for part in parts for ring in shapely.get_rings(part)]
     rest = shapely.line_merge(shapely.intersection(_lines(lines), seen)) if lines else area
@@ -86,7 +86,7 @@ def _left(shape: list[Outline], seen: shapely.Geometry, near: shapely.Geometry, 
 
 
 def _let_through(region: Region, tolerance: float, known: dict[int, shapely.Geometry]) -> shapely.Geometry:
-    """The area in which a region lets everything be seen."""
+    """The area in which a region shows everything."""
     if id(region) in known:
         return known[id(region)]
     clip = region.node.tag == "clipPath"
@@ -112,11 +112,11 @@ def _shows(region: Region, outline: Outline) -> bool | None:
     paint = {name: value.strip().lower() for name, value in _paint(outline).items()}
     reason, hint = "", "apply the mask in the drawing program"
     if paint.get("stroke", "none") != "none":
-        reason = "it stands with a stroke in a mask, which is not supported"
+        reason = "it has a stroke in a mask, which is not supported"
     elif any(paint.get(name, "1") != "1" for name in ("opacity", "fill-opacity")):
-        reason = "it is partly transparent in a mask, which then does not simply show or hide"
+        reason = "it is partly transparent in a mask, which then neither shows nor hides it fully"
     elif not OPAQUE.fullmatch(paint.get("fill", "black")):
-        reason = "it is filled with what may be transparent in a mask, which then does not simply show or hide"
+        reason = "its fill may be transparent in a mask, which then neither shows nor hides it fully"
     if reason:
         raise outline.node.error(reason, hint)
     if not _filled(outline):
@@ -129,7 +129,7 @@ def _filled(outline: Outline) -> bool:
 
 
 def _paint(outline: Outline) -> dict[str, str]:
-    """What an outline is painted with. Raises InputError where that is not known."""
+    """The paint of an outline. Raises InputError if it is not known."""
     if "unread" in outline.paint or any("!" in value for value in outline.paint.values()):
         raise outline.node.error(
             "how it is filled is not known: a style sheet has selectors or an !important that are not supported",
@@ -139,7 +139,7 @@ def _paint(outline: Outline) -> dict[str, str]:
 
 
 def _area(first: Outline, lines: list[Array], rule: str) -> shapely.Geometry:
-    """The area that a shape of these subpaths fills, open ones closed; `rule` names the property that says how."""
+    """The area that a shape of these subpaths fills, open ones closed; `rule` names the property with the fill rule."""
     rings = [np.vstack([line, line[:1]]) for line in lines if len(line) >= _LEAST_OF_AREA]
     if not rings:
         return shapely.Polygon()
@@ -154,7 +154,7 @@ def _area(first: Outline, lines: list[Array], rule: str) -> shapely.Geometry:
 
 
 def _crossings(rings: list[Array]) -> float:
-    """About how often the chords of rings cross, or at least come near each other: of some of them it is counted."""
+    """Estimate, from a sample, of how often the chords of rings cross or at least have overlapping boxes."""
     ends = np.vstack([np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings])
     low, high = ends.min(axis=1), ends.max(axis=1)
     some = np.linspace(0, len(ends) - 1, min(_COUNTED, len(ends))).astype(int)
@@ -164,12 +164,12 @@ def _crossings(rings: list[Array]) -> float:
 
 
 def _lines(lines: list[Array]) -> shapely.Geometry:
-    """All polylines as one geometry; single points are no lines."""
+    """All polylines as one geometry; single points are dropped."""
     return shapely.MultiLineString([line for line in lines if len(line) > 1])
 
 
 def _windings(rings: list[Array], points: Array) -> NDArray[np.int64]:
-    """How often the rings together wind about each of the points (n, 2)."""
+    """How often the rings together wind around each of the points (n, 2)."""
     found = np.zeros(len(points), dtype=np.int64)
     for ring in rings:
         a, b = ring[:-1], ring[1:]

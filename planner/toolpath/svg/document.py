@@ -1,7 +1,8 @@
 """An SVG file as a tree of elements with their lines, their styles and their transforms.
 
-Expat reads the file, and nothing else is ever opened. Of CSS only what matters for an outline is understood: simple
-selectors that say what is shown. What would reshape an outline is refused. Transforms and viewports are 3 x 3 matrices.
+Expat reads the file, and nothing else is ever opened. Only CSS that matters for an outline is understood: simple
+selectors that say what is shown. Anything that would reshape an outline is refused. Transforms and viewports are 3 x 3
+matrices.
 """
 
 from __future__ import annotations
@@ -48,11 +49,11 @@ UNITS = {"": 1.0, "px": 1.0, "in": 96.0, "cm": 96 / 2.54, "mm": 96 / 25.4, "q": 
 URL = re.compile(r"url\(\s*[\"']?\s*([^\s\"')]*)", re.IGNORECASE)
 DOCTYPE = re.compile(rb"<!DOCTYPE[^<>\[\]]*>")
 
-# What would move an outline and is not supported as a property in a style.
+# Properties that would move an outline and are not supported in a style.
 SHAPING = {"transform", "transform-origin", "translate", "rotate", "scale", "zoom", "offset-path"}
 CUTS = ("clip-path", "mask")
 SHOWN = ("display", "visibility")
-# What inherits, and matters only where something is cut: of a filled shape another outline is left than of a line.
+# Inherited, and relevant only where something is cut: a cut filled shape leaves a different outline than a cut line.
 PAINT = ("fill", "fill-rule", "clip-rule", "stroke")
 OPACITY = ("opacity", "fill-opacity")
 UNPAINTED = ("none", "transparent")
@@ -60,7 +61,7 @@ BLACK = {"black", "#000", "#000000", "rgb(0,0,0)"}
 OPAQUE = re.compile(r"#[0-9a-f]{3}(?:[0-9a-f]{3})?|[a-z]+|rgb\([^,/)]+,[^,/)]+,[^,/)]+\)")
 READ = (*CUTS, *SHOWN, *PAINT, *OPACITY, "mask-type")
 SELECTOR = re.compile(r"(\*|[\w-]+)?((?:[.#][\w-]+)*)")
-FONTS = re.compile(r"@font-face\s*\{[^{}]*\}|@charset[^;{}]*;", re.IGNORECASE)  # which draw nothing
+FONTS = re.compile(r"@font-face\s*\{[^{}]*\}|@charset[^;{}]*;", re.IGNORECASE)  # these draw nothing
 
 TRANSFORM = re.compile(rf"([a-zA-Z]+){SPACE}\({SPACE}({NUMBER}(?:{COMMA}{NUMBER})*+){SPACE}\){COMMA}")
 TRANSFORMS = {"matrix": (6,), "translate": (1, 2), "scale": (1, 2), "rotate": (1, 3), "skewX": (1,), "skewY": (1,)}
@@ -68,7 +69,7 @@ VIEW_BOX = re.compile(SPACE + COMMA.join([f"({NUMBER})"] * 4) + SPACE)
 ASPECT = re.compile(r"\s*(?:defer\s+)?(none|x(Min|Mid|Max)Y(Min|Mid|Max))(?:\s+(meet|slice))?\s*")
 ALIGN = {"Min": 0.0, "Mid": 0.5, "Max": 1.0, None: 0.0}
 FRACTION = re.compile(rf"{SPACE}({NUMBER})(%?){SPACE}")
-WHOLE = {"x": "-10%", "y": "-10%", "width": "120%", "height": "120%"}  # of what is masked (SVG 1.1, 14.4)
+WHOLE = {"x": "-10%", "y": "-10%", "width": "120%", "height": "120%"}  # of the masked element (SVG 1.1, 14.4)
 Size = tuple[float | None, float | None]
 
 
@@ -130,14 +131,14 @@ class Node:
 
 
 def read_document(path: Path, complain: Complaint) -> Node:
-    """Read the file into a tree of SVG elements, which is returned by its root; nothing else is ever opened.
+    """Read the file into a tree of SVG elements, and return its root; nothing else is ever opened.
 
-    Raises InputError for what is unsafe, too large or malformed, and for elements that can never be printed.
+    Raises InputError for a file that is unsafe, too large or malformed, and for elements that can never be printed.
     """
     data = read_bytes(path, MAX_BYTES, complain)
     if data.startswith(b"\x1f\x8b"):
         raise complain(f"{path.name} is compressed", hint="save it as plain SVG")
-    # expat drops unknown entities in silence where an external DTD is named, so a DOCTYPE of a name only goes first.
+    # expat silently drops unknown entities if an external DTD is named, so a DOCTYPE without a subset is blanked first.
     data = DOCTYPE.sub(lambda match: re.sub(rb"[^\n]", b" ", match[0]), data, count=1)
 
     parser = expat.ParserCreate(namespace_separator=" ")
@@ -198,7 +199,7 @@ def read_document(path: Path, complain: Complaint) -> Node:
 def _check_element(node: Node, defined: bool) -> None:
     """Refuse an element that can never be printed, and a reference to anything outside of the file.
 
-    What can be hidden is refused once it is drawn; what is only `defined`, at once: a pattern may show it.
+    Elements that can be hidden are refused once drawn; those only `defined`, at once: a pattern may show them.
     """
     if node.tag in NEVER:
         raise node.error(f"<{node.tag}> cannot be printed", NEVER[node.tag])
@@ -218,7 +219,7 @@ def _check_element(node: Node, defined: bool) -> None:
 
 
 def unprintable(node: Node) -> InputError:
-    """Return the error of an element of REFUSED."""
+    """Return the error for an element in REFUSED."""
     return node.error(f"<{node.tag}> cannot be printed", REFUSED[node.tag])
 
 
@@ -235,7 +236,7 @@ SHAPING |= {"d", "x", "y", "cx", "cy", "r", "rx", "ry", "width", "height"}
 class Rule:
     """A style rule with one simple selector; `rank` is its specificity (ids, classes, tags), then its order.
 
-    One that cannot be read (`marks` None) selects nothing; it holds nothing but paint.
+    One that cannot be read (`marks` None) selects nothing and holds only paint.
     """
 
     rank: tuple[int, int, int, int]
@@ -265,7 +266,7 @@ def style_properties(node: Node, text: str) -> dict[str, str]:
 
 
 def style_rules(node: Node, order: int) -> list[Rule]:
-    """Return the rules of a <style> element that matter for an outline; `order` counts those before."""
+    """Return the rules of a <style> element that matter for an outline; `order` is the number of rules before."""
     text = FONTS.sub("", _without_comments("".join(node.text)))
     if "@" in text:
         raise node.error(
@@ -387,7 +388,7 @@ def viewport_matrix(node: Node, outer: Size, user: Node | None, is_root: bool) -
 
 
 def page_of(root: Node, matrix: Array, size: Size) -> Array | None:
-    """Return least and greatest x and y (2, 2) of the page, `matrix` (3, 3) leading out of it; None if it has no size."""
+    """Return the page's least and greatest x and y (2, 2), None if it has no size; `matrix` (3, 3) leads out of it."""
     match = VIEW_BOX.fullmatch(root.attributes.get("viewBox", ""))
     x, y = (float(match[1]), float(match[2])) if match else (0.0, 0.0)
     if size[0] is None or size[1] is None:
@@ -397,7 +398,7 @@ def page_of(root: Node, matrix: Array, size: Size) -> Array | None:
 
 
 def mask_box(node: Node) -> Array | None:
-    """Return the corners (4, 2) of the box of a <mask> in user units; None if it leaves all of the element."""
+    """Return the corners (4, 2) of the box of a <mask> in user units; None if it does not cut the element."""
     given = [name for name in ("x", "y", "width", "height") if name in node.attributes]
     if not given:
         return None

@@ -1,4 +1,4 @@
-"""Walks the tree of SVG elements, follows <use>, and collects the outlines that are visible, with what cuts them."""
+"""Walks the tree of SVG elements, follows <use>, and collects the visible outlines and what clips or masks them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from planner.toolpath.svg.document import (
 )
 from planner.toolpath.svg.shapes import OutlinePiece, Subpath, subpaths_of
 
-# Attributes that would move or hide an outline and are not supported; document.py has the properties of styles.
+# Attributes that would move or hide an outline and are not supported; for properties in styles see document.py.
 REFERENCE = re.compile(r"url\(\s*[\"']?\s*#([^\s\"')]*)\s*[\"']?\s*\)", re.IGNORECASE)
 MOVING = ("transform-origin", "refX", "refY", "systemLanguage", "requiredExtensions")
 
@@ -50,8 +50,8 @@ class Outline:
     """One visible subpath, in the root's user units.
 
     shape, element   number and name that all subpaths of one drawn element share
-    paint            of PAINT and OPACITY what is given to it
-    cuts             what it is seen through: inside of all of them
+    paint            its properties among PAINT and OPACITY
+    cuts             regions through which it is seen: it is visible inside all of them
     """
 
     node: Node
@@ -65,17 +65,17 @@ class Outline:
 
     @property
     def invisible(self) -> bool:
-        """Whether it has neither fill nor stroke, and no rule that is not read could give it one."""
+        """Whether it has neither fill nor stroke, and no unread rule could give it one."""
         fill, stroke = self.paint.get("fill", "black"), self.paint.get("stroke", "none")
         return "unread" not in self.paint and all(each.strip().lower() in UNPAINTED for each in (fill, stroke))
 
 
 @dataclass(frozen=True)
 class Region:
-    """What a <clipPath> or a <mask> lets be seen: the shapes in it, in painting order, within a box (4, 2), if any.
+    """The region that a <clipPath> or <mask> shows: its shapes in painting order, within a box (4, 2), if any.
 
     node    the element
-    alpha   a mask for which black is as good as white
+    alpha   whether it is a mask for which black is as good as white
     """
 
     node: Node
@@ -88,8 +88,8 @@ class Region:
 class ElementContext:
     """Where and how an element is drawn.
 
-    Its transform (3, 3) into the root, visibility, viewport, the <use>s that led here, and what it inherits of paint
-    and cuts.
+    Its transform (3, 3) into the root, visibility, viewport, the <use>s that led here, and the paint and cuts it
+    inherits.
     """
 
     matrix: Array
@@ -141,11 +141,11 @@ class Drawing:
         return self._drawn
 
     def _count(self, node: Node, used: bool, depth: int) -> int:
-        """Return how many elements `_draw` visits for this one, cuts aside; refuse it before that if they are too many."""
+        """Return how many elements `_draw` will visit for this one, cuts aside; refuse in advance if too many."""
         if depth > MAX_DEPTH or (node.tag in NOT_DRAWN and not (node.tag == "symbol" and used)):
             return 1
         if id(node) not in self._counts:
-            self._counts[id(node)] = count = 1  # an element that contains itself meets this count; `_follow` refuses it
+            self._counts[id(node)] = count = 1  # an element that contains itself stops here; `_follow` refuses it
             if node.tag in SHAPES or self._style(node).get("display") == "none":
                 return count
             if node.tag == "use":
@@ -159,7 +159,7 @@ class Drawing:
         return self._counts[id(node)]
 
     def _draw(self, node: Node, place: ElementContext, user: Node | None) -> None:
-        """Draw an element; `user` is the <use> that names it, where that is why it is drawn."""
+        """Draw an element; `user` is the <use> that refers to it, if it is drawn because of that."""
         self._elements += 1
         if self._elements > MAX_ELEMENTS or place.depth > MAX_DEPTH:
             raise _too_many(node)
@@ -196,7 +196,7 @@ class Drawing:
             self._add(node, replace(inside, paint=paint | opacity))
 
     def _follow(self, node: Node, place: ElementContext) -> None:
-        """Draw what a <use> names."""
+        """Draw the element that a <use> refers to."""
         name = _name_used(node)
         found = self._named(node, name)
         if found.tag in NOT_DRAWN - {"symbol"}:
@@ -217,7 +217,7 @@ class Drawing:
         return found[0]
 
     def _cuts(self, node: Node, style: dict[str, str], place: ElementContext) -> tuple[Region, ...]:
-        """Return what the element's own clip path and mask let be seen."""
+        """Return the regions that the element's own clip path and mask show."""
         regions = []
         for name in CUTS:
             value = style.get(name, "none")
@@ -236,7 +236,7 @@ class Drawing:
         return tuple(regions)
 
     def _region(self, node: Node, place: ElementContext) -> Region:
-        """Return what a <clipPath> or <mask> lets be seen of an element in whose user units `place` is."""
+        """Return the region that a <clipPath> or <mask> shows; `place` is in the user units of the element it cuts."""
         style = self._style(node)
         units = "clipPathUnits" if node.tag == "clipPath" else "maskContentUnits"
         if node.attributes.get(units, "userSpaceOnUse") != "userSpaceOnUse":
@@ -254,7 +254,7 @@ class Drawing:
         drawn, self._drawn, dots = self._drawn, [], self.dots
         for child in node.children:
             if node.tag == "clipPath" and child.tag not in SHAPES | NOT_DRAWN | {"use"}:
-                raise child.error(f"<{child.tag}> cannot stand in a <clipPath>")
+                raise child.error(f"<{child.tag}> is not allowed in a <clipPath>")
             self._draw(child, inside, None)
         outlines = tuple(replace(outline, paint=self._plain(outline)) for outline in self._drawn)
         self._drawn, self.dots = drawn, dots
@@ -283,10 +283,10 @@ class Drawing:
             SVG_SEGMENTS.check(self._segments, "up to here there are", node.error, hint)
         subpaths = self._subpaths[id(node)]
         self._points += sum(len(piece.points) for pieces, _ in subpaths for piece in pieces)
-        if self._points > 4 * MAX_POINTS:  # controls included; the points themselves are counted once the size is known
+        if self._points > 4 * MAX_POINTS:  # includes controls; final points are counted once the size is known
             raise node.error(f"from here on there are more than {MAX_POINTS} points")
         lines = [each for each in subpaths if any(np.ptp(piece.points, axis=0).any() for piece in each[0])]
-        if not lines or place.paint.get("stroke", "none") != "none":  # unstroked, a point beside lines draws nothing
+        if not lines or place.paint.get("stroke", "none") != "none":  # unstroked, a point next to lines draws nothing
             self.dots += len(subpaths) - len(lines)
         name = "/".join([*(use.id for use in place.uses if use.id), node.id or f"{node.tag} {node.number}"])
         for k, (pieces, closed) in enumerate(lines, 1):
@@ -300,13 +300,13 @@ class Drawing:
         self._shapes += 1
 
     def _style(self, node: Node) -> dict[str, str]:
-        """Return the properties that matter for an outline: attributes, below style sheets, below the own style."""
+        """Return the properties that matter for an outline: attributes, below style sheets, below its own style."""
         style: dict[str, str] = {}
         for rule in sorted((rule for rule in self._rules if rule.matches(node)), key=lambda rule: rule.rank):
             style |= rule.properties
         style |= style_properties(node, node.attributes.get("style", ""))
         for name in sorted(SHAPING & style.keys()):
-            of_page = node is self._root and name in ("width", "height")  # which says nothing about the print
+            of_page = node is self._root and name in ("width", "height")  # this does not affect the print
             if not of_page and style[name] not in ("none", "auto"):
                 raise node.error(f"{name} in a style is not supported", "write it as an attribute")
         own = {name: node.attributes[name].strip() for name in READ if name in node.attributes}
@@ -322,4 +322,4 @@ def _name_used(node: Node) -> str:
 
 
 def _too_many(node: Node) -> InputError:
-    return node.error(f"with what <use> makes of it there are more than {MAX_ELEMENTS} elements, or {MAX_DEPTH} levels")
+    return node.error(f"with the copies by <use> there are more than {MAX_ELEMENTS} elements, or {MAX_DEPTH} levels")

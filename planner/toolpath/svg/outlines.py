@@ -1,4 +1,4 @@
-"""Reads the outlines of an SVG drawing as plane paths in metres; what it cannot print exactly, it refuses by name."""
+"""Reads the outlines of an SVG drawing as plane paths in metres; refuses, by name, elements it cannot print exactly."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from planner.toolpath.svg.document import MAX_POINTS, read_document
 from planner.toolpath.svg.drawing import Drawing, Outline
 from planner.toolpath.twins import without_twins
 
-SAME_POINT = 0.01  # of the flatness: points nearer than this are one, or rounding in the file makes false corners
-_AT_EDGE = 0.002  # of the page: so near to its edge is at it
+SAME_POINT = 0.01  # of the flatness: closer points are one, or rounding in the file would make false corners
+_AT_EDGE = 0.002  # of the page: a place this close to its edge is on it
 
 
 @dataclass(frozen=True)
 class PlanePath:
-    """One line of the drawing, without interruption.
+    """One uninterrupted line of the drawing.
 
     points (n, 2) metres, x to the right and y up, origin at the drawing's centre; no repeated consecutive points
     closed        the last point is the first one again (both are kept)
@@ -41,15 +41,15 @@ def read_svg(
 ) -> tuple[PlanePath, ...]:
     """Read the outlines of a drawing, scaled so that their bounding box is `width` metres wide, in drawing order.
 
-    The outline is what is printed: colours, dashes, opacity, markers and filters are ignored, and the page's edge
-    cuts nothing off. Clip paths and masks do: of a filled shape the outline of what is left is printed, of a line what
-    is left. What has neither fill nor stroke is left out, unless all is so, and so are single points. The origin is the
-    centre of the bounding box and y points up. Curves become chords whose error is at most `flatness` metres; every
-    vertex of the drawing stays a vertex (but for points nearer than 1 % of `flatness`, which are one); straight lines
-    are not divided. Each subpath becomes a path of its own.
+    Outlines are printed: colours, dashes, opacity, markers and filters are ignored, and the page's edge cuts nothing
+    off. Clip paths and masks do: a filled shape is printed as the outline of what they leave of it, a line as what they
+    leave. Single points are left out, and so are shapes with neither fill nor stroke, unless all are so. The origin is
+    the centre of the bounding box, and y points up. Curves become chords whose error is at most `flatness` metres;
+    every vertex of the drawing stays a vertex (except that points closer than 1 % of `flatness` are one); straight
+    lines are not divided. Each subpath becomes a path of its own.
 
-    `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole, naming the field that
-    asked for it. Raises InputError, with line and element, for whatever cannot be read or printed exactly.
+    `where(reason, hint=...)` makes the InputError for a fault of the file as a whole, naming the field that refers to
+    it. Raises InputError, with line and element, for anything that cannot be read or printed exactly.
     """
     return _read(path, width, flatness, where)[0]
 
@@ -57,7 +57,7 @@ def read_svg(
 def _read(
     path: Path, width: float, flatness: float, where: Callable[..., InputError] | None
 ) -> tuple[tuple[PlanePath, ...], list[str]]:
-    """The paths of a drawing, and what of it is left out, in words."""
+    """The paths of a drawing, and notes on what is left out."""
     complain = partial(InputError, file=path) if where is None else where
     for name, value in (("width", width), ("flatness", flatness)):
         if not (math.isfinite(value) and value > 0):
@@ -100,19 +100,19 @@ def _read(
     told = []
     if len(seen) < len(drawn):
         unseen = len({outline.shape for outline in drawn}) - len({outline.shape for outline in seen})
-        told.append(f"{count_of(unseen, 'shape')} with neither fill nor stroke, which no one sees, left out")
+        told.append(f"{count_of(unseen, 'shape')} with neither fill nor stroke, hence invisible, left out")
     off, frames = _about_page(drawing.page, outlines)
     if off:
-        told.append(f"{count_of(off, 'shape')} outside of the page, printed and counted in the width as all others")
+        told.append(f"{count_of(off, 'shape')} outside of the page, printed and counted in the width like all others")
     if frames:
-        told.append(f"{count_of(frames, 'shape')} along the edges of the page, as a background is, printed as a frame")
+        told.append(f"{count_of(frames, 'shape')} along the edges of the page, like a background, printed as a frame")
     if dots:
         told.append(f"{count_of(dots, 'single point')} left out")
     return tuple(paths), told
 
 
 def _about_page(page: Array | None, outlines: Sequence[Outline]) -> tuple[int, int]:
-    """How many shapes lie outside of the page, and how many run around it from corner to corner."""
+    """How many shapes lie outside the page, and how many run around it from corner to corner."""
     if page is None:
         return 0, 0
     spans: dict[int, list[Array]] = defaultdict(list)
@@ -129,7 +129,7 @@ def _about_page(page: Array | None, outlines: Sequence[Outline]) -> tuple[int, i
 def read_svg_once(
     path: Path, width: float, flatness: float, where: Callable[..., InputError] | None = None
 ) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:
-    """As `read_svg`, without paths that lie on another; and what was left out, in sentences."""
+    """As `read_svg`, without paths that lie on another; and notes on what was left out."""
     read, told = _read(path, width, flatness, where)
     paths, twins = without_twins(read, flatness)
     if twins:

@@ -1,4 +1,4 @@
-"""One SVG shape as lines, cubics and arcs, and these as chords.
+"""An SVG shape as lines, cubics and arcs, and these as chords.
 
 Path data is checked here, because svgelements silently skips what it cannot read.
 """
@@ -138,8 +138,8 @@ def _listed_points(node: Node) -> Array:
 def path_commands(node: Node) -> tuple[str, str]:
     """Check path data against the grammar (SVG 1.1, 8.3.9); return the letter of each segment, and the data.
 
-    Both are empty where there is none. svgelements stops or skips in silence at errors, so it is given nothing that has
-    not passed here.
+    Both are empty if there is none. svgelements silently stops or skips at errors, so it is given only data that has
+    passed this check.
     """
     data = node.attributes.get("d", "").strip()
     if data in ("", "none"):
@@ -165,7 +165,7 @@ def path_commands(node: Node) -> tuple[str, str]:
 
 
 def _mend_smooth(letters: str, segments: list[svgelements.PathSegment]) -> None:
-    """Let S and T reflect only controls of their own kind (SVG 1.1, 8.3.6): svgelements reflects any."""
+    """Make S and T reflect only controls of their own kind (SVG 1.1, 8.3.6): svgelements reflects any."""
     for k, (letter, segment) in enumerate(zip(letters, segments, strict=True)):
         if letter == "S" and letters[k - 1] not in "CS":
             segment.control1 = segment.start
@@ -177,7 +177,7 @@ def _mend_smooth(letters: str, segments: list[svgelements.PathSegment]) -> None:
 
 
 def _pieces(node: Node, segments: list[svgelements.PathSegment]) -> list[Subpath]:
-    """Return the pieces of each subpath; straight segments that follow each other make one piece."""
+    """Return the pieces of each subpath; consecutive straight segments make one piece."""
     subpaths: list[Subpath] = []
     pieces: list[OutlinePiece] = []
     line: list[tuple[float, float]] = []

@@ -1,8 +1,8 @@
-"""The harmonic field between two surfaces: 0 on the lower one, 1 on the upper one, no flow through the sides of the grid.
+"""The harmonic field between two surfaces: 0 on the lower one, 1 on the upper one, no flow through the grid's sides.
 
-Its levels share the space out along the lines on which it rises, not along z: what is bent below or above fades away with
-the distance from it, sooner the shorter its waves are. Laplace's equation is solved by finite elements, bricks with eight
-corners whose columns stand between the surfaces.
+Its levels divide the space along the field's gradient lines, not along z: bends of the lower or upper surface fade with
+the distance from it, the sooner the shorter their waves. Laplace's equation is solved by finite elements: bricks with
+eight corners, in columns between the surfaces.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ _GAUSS = 0.5 / np.sqrt(3.0)  # from the middle of a unit brick, along each axis
 _CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))  # of a unit brick
 _TOLERANCE = 1e-9  # of the solver, relative
 _MOST_STEPS = 3_000
-POWERS = 5  # of the polynomials by which levels are off an even share
+POWERS = 5  # number of polynomials for the departure of levels from an even share
 
 
 def departures(t: Array) -> Array:
-    """Polynomials (..., POWERS) of the share t of the way from the lower surface to the upper one, which are 0 on both."""
+    """Polynomials (..., POWERS) of the share t of the way from the lower to the upper surface; they are 0 on both."""
     return np.asarray((t * (1.0 - t))[..., None] * (2.0 * t - 1.0)[..., None] ** np.arange(POWERS))
 
 
 def harmonic_departures(lower: Array, upper: Array, pitch: float) -> Array:
-    """By how much the levels of the harmonic field are off an even share of the height, at the corners of a grid.
+    """How far the levels of the harmonic field depart from an even share of the height, at the corners of a grid.
 
     lower, upper (n, m)  heights of the surfaces [m], the second above the first;  pitch of the grid [m]
     Returns factors (n, m, POWERS) [m] of `departures`.
@@ -43,7 +43,7 @@ def harmonic_departures(lower: Array, upper: Array, pitch: float) -> Array:
 
 
 def _solved(lower: Array, height: Array, pitch: float) -> Array:
-    """The field (n, m, _BRICKS + 1) at the corners of bricks that fill the heights (n, m) [m] above the lower surface."""
+    """The field (n, m, _BRICKS + 1) at the corners of bricks that fill heights (n, m) [m] above the lower surface."""
     share = np.linspace(0.0, 1.0, _BRICKS + 1)
     z = lower[..., None] + share * height[..., None]
     node: Ints = np.arange(z.size).reshape(z.shape)

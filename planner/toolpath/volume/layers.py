@@ -1,6 +1,6 @@
 """Curved layers that fill a closed mesh between two surfaces: walls and infill.
 
-The two surfaces are levels, meshes, or the body's own top; each layer lies on the one before.
+The two surfaces are level planes, meshes, or the body's own top; each layer lies on the one before.
 """
 
 from __future__ import annotations
@@ -32,39 +32,38 @@ from planner.toolpath.task import roll_zeros
 from planner.toolpath.volume.sections import Heights, Morph, MorphedLayers, NotClosed, Solid, TooFine, polygons
 from planner.toolpath.workload import check_length
 
-_GUIDE_GRID = 120  # places along the body's longer side at which its surfaces are looked at
+_GUIDE_GRID = 120  # places along each side of the rectangle around the body at which its surfaces are sampled
 _REACH = 2.0  # bead widths beside the body within which its surfaces count
 
-_FARTHEST = 3.0  # line distances, to the next line's end: farther, the zig-zag ends
-_BESIDE = 0.1  # bead widths by which the way from line to line may leave the region: the bead at the wall takes it
-_FAR_OFF = 0.1  # of the length that is wanted
+_FARTHEST = 3.0  # line spacings: if the next line's end is farther away, the zig-zag ends
+_BESIDE = 0.1  # bead widths by which the link between two lines may leave the region: the wall bead absorbs it
+_FAR_OFF = 0.1  # of the wanted length: a greater error makes the outermost lines move inwards
 _SPECK = 0.1  # bead widths: a line shorter than this only touches the region
-_TRIES = 3  # distances of lines that are tried
-_HAIR = 1e-6  # m: the outermost lines lie so far inside, else they are found or not by chance
+_TRIES = 3  # line spacings that are tried
+_HAIR = 1e-6  # m: the outermost lines lie this far inside; otherwise chance decides whether they are found
 
-_TILT_GRID = 120  # places along the body's longer side at which the tilt is looked at
-_CUT = 1e-3  # m: longest edge of the facets that are bent with the layers; 1.3 um off them where 100 mm is their radius
+_TILT_GRID = 120  # places along each side of the rectangle around the body at which the tilt is checked
+_CUT = 1e-3  # m: longest edge of the facets that are bent with the layers; 1.3 um off them at a radius of 100 mm
 _SHORTEST = 3.0  # bead widths: a shorter path is left out
-_REACHED = 0.75  # bead widths from a wall's middle line: what is farther is left out; corners of a right angle are not
-_SEEN = 0.05  # squared bead widths: less is no place
-_OPEN = 0.005  # of the volume: less is not told
-_HELD = 0.95  # of the volume: so much and more is as asked
-_NAMED = 5  # numbers of layers that are named
+_REACHED = 0.75  # bead widths from a wall's centre line: farther places are left out; right-angled corners are not
+_SEEN = 0.05  # squared bead widths: smaller places do not count
+_OPEN = 0.005  # of the volume: less is not reported
+_HELD = 0.95  # of the volume: this much or more counts as requested
+_NAMED = 5  # most layer numbers that a note lists
 _RESERVE = 1.02  # the stretch varies within a tolerance
 _BELOW = 1e-5  # m by which a body may reach below the bed: rounding
 _MOST_LAYERS = 2000
 _COUNTS = 8  # numbers of layers that are tried
-_CLOSED_UNASKED = 0.05  # of the surface that closes holes, at most
-_MOST_CLOSED = 0.4  # of the surface: where closing takes more, it is hardly a body
+_CLOSED_UNASKED = 0.05  # greatest share of the surface that closing holes may take without being requested
+_MOST_CLOSED = 0.4  # of the surface: if closing takes more, it is hardly a body
 
 
 def stack_of(
     problem: Problem, spec: VolumeLayersSpec, solid: Solid, tree: FacetTree
 ) -> tuple[Morph, MeshTop | None, tuple[str, ...], float]:
-    """The stack of layers between a body's surfaces, the mesh that it begins at if it does, what is to be told of meshes, and
-    by how much smooth surfaces are told to leave their facets [m].
+    """The stack of layers between a body's surfaces, the mesh at which it begins, if any, notes on meshes, a gap [m].
 
-    tree: of the body's facets
+    The gap is the reported deviation of smooth surfaces from their facets. tree: of the body's facets
 
     Raises InputError for surfaces that are not one above the other, or have edges.
     """
@@ -74,7 +73,7 @@ def stack_of(
     plane = plane[tree.top(plane)[1] >= 0]
     if len(plane) == 0:
         reason = f"{spec.source.mesh.name} is narrower, seen from above, than a {_GUIDE_GRID}th of its length: nothing fits in"
-        raise problem.error("layers.source.mesh", reason, "is a length of it in another unit?")
+        raise problem.error("layers.source.mesh", reason, "is it in another unit?")
     reach = _REACH * problem.process.bead.width
     lowest = GuideSpec.model_construct(z=float(solid.vertices[:, 2].min()), mesh=None)
     lower, base = _heights(problem, spec.lower or lowest, "layers.lower", plane, reach)
@@ -109,9 +108,9 @@ def stack_of(
 
 
 def _harmonic(problem: Problem, spec: VolumeLayersSpec, stack: Callable[[float], Morph], plane: Array) -> Morph:
-    """The least many layers of a harmonic field, of which none is higher than is asked, by `stack` of an even height [m].
+    """The fewest layers of a harmonic field with none higher than requested; `stack` makes them by even height [m].
 
-    plane (n, 2): where the body is. Raises InputError where some would be lower than may be.
+    plane (n, 2): places within the body. Raises InputError if some layers would be lower than allowed.
     """
     height = spec.height
     for _ in range(_COUNTS):
@@ -132,7 +131,7 @@ def _harmonic(problem: Problem, spec: VolumeLayersSpec, stack: Callable[[float],
 def _heights(
     problem: Problem, guide: GuideSpec, field: str, plane: Array, reach: float
 ) -> tuple[Heights, MeshTop | None]:
-    """The heights of a surface that is given, over all of plane (n, 2), and its mesh if it is one."""
+    """The heights of a given surface, which must cover plane (n, 2), and its mesh if it is one."""
     if guide.mesh is None:
         z = guide.z or 0.0
         return (lambda places: np.full(len(places), z)), None
@@ -180,7 +179,7 @@ def walls(region: shapely.MultiPolygon, width: float, count: int, chord: float, 
 def zigzag(
     region: shapely.MultiPolygon, width: float, beside: int, density: float, angle: float, name: str
 ) -> list[PlanePath]:
-    """Lines that fill a share `density` of what `beside` beads along the outlines leave, joined from end to end.
+    """Lines that fill a share `density` of the region inside `beside` beads along the outlines, joined end to end.
 
     angle: of the lines against x [rad]. The outermost lines lie half a bead from the outermost walls.
     """
@@ -198,9 +197,9 @@ def _inset(region: shapely.MultiPolygon, by: float) -> shapely.MultiPolygon:
 
 
 def _filling(polygon: shapely.Polygon, width: float, density: float) -> list[Array]:
-    """Zig-zags (k, 2) whose length comes nearest to that share: their turns count, and there are whole lines only.
+    """Zig-zags (k, 2) whose length, turns included, comes closest to that share; they consist of whole lines.
 
-    The outermost lines lie at the polygon's ends; where that is far from the share, as in round ones, half a distance within.
+    The outermost lines lie at the polygon's ends or, if that misses the share, as in round ones, half a spacing inside.
     """
     wanted = density * polygon.buffer(0.5 * width, join_style="mitre").area / width
     best: list[Array] = []
@@ -221,7 +220,7 @@ def _filling(polygon: shapely.Polygon, width: float, density: float) -> list[Arr
 
 
 def _chains(polygon: shapely.Polygon, width: float, apart: float, aside: float) -> Iterator[Array]:
-    """Zig-zags (k, 2) along x through a polygon, their lines `apart` [m] or a little more or less; see _zigzag_rows."""
+    """Zig-zags (k, 2) along x through a polygon, their lines about `apart` [m] apart; see _zigzag_rows."""
     rows = _zigzag_rows(polygon, apart, _SPECK * width, aside)
     near = shapely.prepared.prep(polygon.buffer(_BESIDE * width))
     while any(rows):
@@ -245,7 +244,7 @@ def _chains(polygon: shapely.Polygon, width: float, apart: float, aside: float) 
 def _zigzag_rows(polygon: shapely.Polygon, apart: float, least: float, aside: float) -> list[list[Array]]:
     """Lines (2, 2) within a polygon, row by row upwards, each from left to right; longer than `least` [m].
 
-    The outermost are so many distances `aside` from its ends.
+    The outermost are `aside` spacings away from its ends.
     """
     left, low, right, high = polygon.bounds
     count = max(round((high - low) / apart - 2.0 * aside), 1 if aside == 0.0 else 0) + 1
@@ -260,14 +259,14 @@ def _zigzag_rows(polygon: shapely.Polygon, apart: float, least: float, aside: fl
 
 @dataclass(frozen=True)
 class _RoundedPath:
-    """A rounded path, and its material where that is not the layers'."""
+    """A rounded path, and its material if that differs from the layers'."""
 
     curve: PlaneCurve
     material: str
 
 
 def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
-    """Cut a closed mesh by layers that change from its lower surface to its upper one, and fill each of them.
+    """Slice a closed mesh into layers that morph from its lower surface into its upper one, and fill each of them.
 
     Raises InputError for a mesh that is not closed, surfaces that are not one above the other, layers that are too
     steep, and where nothing is long enough to be printed.
@@ -304,9 +303,9 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
 
 
 def _mended(corners: Array, name: str, asked: float | None, width: float, complain: Complaint) -> Mended:
-    """Facets (n, 3, 3) of a body, holes up to `asked` [m] closed, or where that is None up to a bead's width.
+    """Facets (n, 3, 3) of a body with holes closed up to a width `asked` [m] or, if that is None, up to a bead's width.
 
-    Raises InputError for wider ones, for many of those that nobody asked to close, and for a surface of one side.
+    Raises InputError for wider holes, for too much closing without a request, and for a one-sided surface.
     """
     widest = width if asked is None else asked
     with suppress(NotClosed):
@@ -317,12 +316,12 @@ def _mended(corners: Array, name: str, asked: float | None, width: float, compla
         x, y, z = mended.twisted * 1e3
         raise complain(
             f"{name} has facets that face opposite ways beside the edge at x {x:.2f}, y {y:.2f}, z {z:.2f} mm, and turning "
-            "them does not help: what hangs together there has one side only",
+            "them does not help: that part of the surface has only one side",
             "mend it in a CAD or mesh program: which side is inside must be known",
         )
     if not mended.open and asked is None and mended.share > _CLOSED_UNASKED:
         raise complain(
-            f"{name} is not closed: {mended.share:.1%} of its surface would be what closes holes, more than "
+            f"{name} is not closed: {mended.share:.1%} of its surface would be closed holes, more than "
             f"{_CLOSED_UNASKED:.0%}",
             _closing(corners, max(hole.width for hole in mended.closed)),
         )
@@ -339,7 +338,7 @@ def _mended(corners: Array, name: str, asked: float | None, width: float, compla
 
 
 def _closing(corners: Array, width: float) -> str:
-    """What lets facets be a body that have holes up to `width` [m]."""
+    """A hint on how to make a body of facets with holes up to `width` [m]."""
     enough = np.ceil(width * 1e5 + 0.5) * 1e-5
     mended = mend(corners, enough)
     by_hand = "mend it in a CAD or mesh program: what is inside must be known"
@@ -347,7 +346,9 @@ def _closing(corners: Array, width: float) -> str:
         if mended.share <= _MOST_CLOSED and Solid.of(mended.corners).volume > 0.0:
             return f"layers.source.close_holes_mm: {enough * 1e3:.2f} closes what is open; or {by_hand}"
     if mended.share > _MOST_CLOSED:
-        return f"a surface is no body: print on it as part.mesh, or give it a thickness in a CAD program; or {by_hand}"
+        return (
+            f"a surface is not a body: print on it as part.mesh, or give it a thickness in a CAD program; or {by_hand}"
+        )
     return by_hand
 
 
@@ -365,28 +366,28 @@ def _solid(spec: VolumeLayersSpec, corners: Array, name: str, complain: Complain
 
 
 def _on_bed(spec: VolumeLayersSpec, lowest: float) -> str:
-    """Where the file of a body whose lowest place is so high [m] has its origin, if that stands on the bed."""
+    """The origin that puts the body on the bed, if its lowest place is now at z = `lowest` [m]."""
     x, y, z = spec.source.origin
     return f"layers.source.origin_mm: [{x * 1e3:g}, {y * 1e3:g}, {round((z - lowest) * 1e3, 4):g}]"
 
 
 def _in_the_air(spec: VolumeLayersSpec, name: str, lowest: float) -> tuple[str, ...]:
-    """What is told of a body that begins above the bed, where nobody says what it stands on."""
+    """A note on a body that begins above the bed, if nothing says what it stands on."""
     if spec.lower is not None or lowest <= _BELOW:
         return ()
     return (
-        f"{name}: begins {lowest * 1e3:.3f} mm above the bed (z = 0), on nothing that layers.lower names; "
+        f"{name}: begins {lowest * 1e3:.3f} mm above the bed (z = 0), and layers.lower names nothing beneath it; "
         f"{_on_bed(spec, lowest)} stands it on the bed",
     )
 
 
 def _regions(problem: Problem, spec: VolumeLayersSpec, morph: Morph, fine: Solid) -> list[shapely.MultiPolygon]:
-    """What each layer covers in the plane: the body halfway up the layer. None is empty."""
+    """The region of each layer in the plane: the body's section halfway up the layer. None is empty."""
     levels = morph.levels(fine.vertices)
     count = int(np.floor(levels.max() + 0.5))
     if count > _MOST_LAYERS:
         reason = f"the body takes {count} layers"
-        raise problem.error("layers.height_mm", reason, f"{_MOST_LAYERS} at most: higher layers")
+        raise problem.error("layers.height_mm", reason, f"{_MOST_LAYERS} at most: choose higher layers")
     found = [fine.section(levels, layer + 0.5) for layer in range(count)]
     regions = [region for region in found if not region.is_empty]
     empty = [layer for layer, region in enumerate(found[: len(regions)]) if region.is_empty]
@@ -394,17 +395,17 @@ def _regions(problem: Problem, spec: VolumeLayersSpec, morph: Morph, fine: Solid
         raise problem.error(
             "layers.source.mesh",
             f"{spec.source.mesh.name} has nothing in layer {empty[0] + 1}: what is above hangs in the air",
-            "move its bodies onto each other in a CAD or mesh program, or print them apart",
+            "move its bodies onto each other in a CAD or mesh program, or print them separately",
         )
     if not regions or empty:
         field = "layers.lower" if spec.lower is not None else "layers.height_mm"
         reason = "no layer lies within the body" if not regions else "the lowest layers lie below the body"
-        raise problem.error(field, reason, "the lower surface where the body begins, or less high layers")
+        raise problem.error(field, reason, "a lower surface where the body begins, or thinner layers")
     return regions
 
 
 def _begun_anew(name: str, regions: Sequence[shapely.MultiPolygon], width: float) -> tuple[str, ...]:
-    """What is told of places of layers, wide enough for a bead [m], that lie beside all of the layer beneath."""
+    """A note on parts of layers, wide enough for a bead [m], that lie over no part of the layer beneath."""
     found: list[tuple[int, shapely.Geometry]] = []
     for layer, (below, region) in enumerate(pairwise(regions), 1):
         parts = shapely.get_parts(region)
@@ -416,15 +417,15 @@ def _begun_anew(name: str, regions: Sequence[shapely.MultiPolygon], width: float
     x, y = shapely.get_coordinates(shapely.point_on_surface(first))[0] * 1e3
     what = "1 place" if len(found) == 1 else f"{len(found)} places, the first"
     return (
-        f"{name}: nothing is beneath {what} in layer {layer + 1} at x {x:.1f}, y {y:.1f} mm, where the body begins anew: what "
-        "carries it has to be part of the mesh",
+        f"{name}: nothing is beneath {what} in layer {layer + 1} at x {x:.1f}, y {y:.1f} mm, where the body begins "
+        "again: what supports it must be part of the mesh",
     )
 
 
 def _check_tilt(
     problem: Problem, spec: VolumeLayersSpec, morph: Morph, regions: Sequence[shapely.MultiPolygon]
 ) -> None:
-    """Raise InputError where a layer is steeper than is allowed."""
+    """Raise InputError where a layer is steeper than allowed."""
     low, high = morph.lower.span
     axes = [np.linspace(a, b, _TILT_GRID) for a, b in zip(low, high, strict=True)]
     plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -445,7 +446,7 @@ def _check_tilt(
 
 
 def _foreseen(spec: VolumeLayersSpec, regions: Sequence[shapely.MultiPolygon], width: float) -> float:
-    """About how long walls and infill will be [m]."""
+    """Approximate length of walls and infill [m]."""
     walls_of = sum(min(spec.perimeters * region.length, region.area / width) for region in regions)
     return float(walls_of + spec.infill.density * sum(region.area / width for region in regions))
 
@@ -472,7 +473,7 @@ def _layer_rows(
         groups = [outlines, lines]
         if process.order:
             groups = [[*outlines, *lines]]
-        elif apart and layer % 2:  # so that the material changes once a layer
+        elif apart and layer % 2:  # so that the material changes once per layer
             groups.reverse()
         row: list[_RoundedPath] = []
         short.append([])
@@ -495,7 +496,7 @@ def _rounded(path: PlanePath, surface: HeightField, process: ProcessSpec) -> Pla
 
 
 def _lay(morph: Morph, rows: Sequence[Sequence[_RoundedPath]], width: float, share: float) -> list[Bead]:
-    """Beads `share` times as high as their layers, those of one layer after another.
+    """Beads `share` times as high as their layers, layer by layer.
 
     On a slope, lines that are `width` [m] apart in the plane are farther apart: beads are wider by as much.
     """
@@ -517,12 +518,12 @@ def _lay(morph: Morph, rows: Sequence[Sequence[_RoundedPath]], width: float, sha
 
 @dataclass(frozen=True)
 class _Lost:
-    """What of a body is not printed: numbers of whole layers, paths that are too short by layer, and narrow places.
+    """The unprinted parts of a body: numbers of whole layers, paths that are too short, by layer, and narrow places.
 
     share   of the body's volume
-    open    share that is left open between walls, too near each other for a line of infill
-    held    what beads hold of what walls and infill ask for
-    places  outlines (n, 2) in layers (index) of what is too narrow for a bead
+    open    share left open between walls that are too close together for a line of infill
+    held    share that beads hold of the volume that walls and infill call for
+    places  outlines (n, 2), by layer (index), of places too narrow for a bead
     """
 
     layers: tuple[int, ...]
@@ -548,13 +549,13 @@ class _Lost:
         )
 
     def drawn_in(self, morph: Morph) -> tuple[Array, ...]:
-        """It as lines (n, 3) to be drawn."""
+        """The same as lines (n, 3) to be drawn."""
         lines = [(layer, path.points) for layer, path in self.short] + list(self.places)
         return tuple(morph.field(layer + 1).at(points)[0] for layer, points in lines)
 
     @property
     def words(self) -> str:
-        """What is left out; empty for nothing."""
+        """What is left out, as text; empty if nothing is."""
         parts = []
         if self.layers:
             numbers = ", ".join(str(layer + 1) for layer in self.layers[:_NAMED])
@@ -575,7 +576,7 @@ def _lost(
     rows: Sequence[Sequence[_RoundedPath]],
     short: Sequence[Sequence[PlanePath]],
 ) -> _Lost:
-    """What is not printed of the regions that layers cover."""
+    """The parts of the layers' regions that are not printed."""
     width = problem.process.bead.width
     whole = sum(region.area for region in regions)
     lost, between, wanted, laid, places = 0.0, 0.0, 0.0, 0.0, []
@@ -593,7 +594,7 @@ def _lost(
             lines = sum(length(path.points) for path in short[layer] if not path.closed)
             lost += min(
                 lines * width / spec.infill.density, within.area
-            )  # each with its share of what is open beside it
+            )  # each with its share of the open space next to it
         narrow = shapely.MultiPolygon([part for part in narrow.geoms if not row or part.area > _SEEN * width**2])
         lost += narrow.area
         places += [(layer, np.asarray(part.exterior.coords)) for part in narrow.geoms]
@@ -605,14 +606,14 @@ def _lost(
 def _notes(
     name: str, morph: Morph, rows: Sequence[Sequence[_RoundedPath]], beads: Sequence[Bead], lost: _Lost
 ) -> tuple[str, ...]:
-    """How high layers are, and what was left out."""
+    """Notes on the heights of layers, and on what was left out."""
     high = np.concatenate([morph.layer(bead.layer + 1).at(bead.points[:, :2])[0][:, 2] for bead in beads]) * 1e3
     count = sum(1 for row in rows if row)
     notes = [f"{name}: {count} layers, {high.min():.3f} to {high.max():.3f} mm high along z"]
     if lost.words:
         notes.append(f"{name}: {lost.words}")
     if lost.open > _OPEN:
-        notes.append(f"{name}: {lost.open:.2%} of the volume stays open, between walls too near each other for a line")
+        notes.append(f"{name}: {lost.open:.2%} of the volume stays open, between walls too close together for a line")
     if lost.held < _HELD:
         notes.append(
             f"{name}: beads hold {lost.held:.1%} of the volume that walls and infill ask for, as lines are whole and corners "

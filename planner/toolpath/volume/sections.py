@@ -1,9 +1,9 @@
-"""A closed mesh, and its sections by layers that change from one surface into another.
+"""A closed mesh, and its sections by layers that morph from one surface into another.
 
-Layer k is lower + k * thickness, over x and y. The thickness shares out the gap between the two surfaces evenly, but
-never falls below a bound: where it is held there, layers run parallel to the lower surface and end where they reach the
-upper one. Or layers are levels of the harmonic field between the lower surface and where the last of those would be, by
-departures from the even share. To be cut, the mesh is bent so that layers become level planes.
+Layer k is lower + k * thickness, over x and y. The thickness divides the gap between the two surfaces evenly, but never
+falls below a bound: where it is held there, layers run parallel to the lower surface and end where they reach the upper
+one. Alternatively, layers are levels of the harmonic field between the lower surface and the last of those layers,
+stored as departures from the even share. For slicing, the mesh is bent so that layers become level planes.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from planner.toolpath.substrate.mesh_top import MeshTop
 from planner.toolpath.volume.harmonic import POWERS, departures, harmonic_departures
 
 Heights = Callable[[Array], Array]  # of places x, y (n, 2): z (n) [m]
-_BEND = 0.2  # of the way from the least to the greatest height, over which the thickness bends towards the least
-_KNOTS = 40  # of the layers, along the longer side
+_BEND = 0.2  # share of the range from least to greatest height over which the thickness eases into the least
+_KNOTS = 40  # of the layers' surfaces, along the longer side
 _BRICKS = 60  # of the harmonic field, along the longer side
-_MOST_BRICKS = 120  # likewise, with what is beside
-_BESIDE = 1.5  # of the greatest height, that the field reaches beside: there its sides still count for a hundredth
-_ROUNDS = 40  # a level of the field is looked for: each brings it nearer by how much the field is off an even share
+_MOST_BRICKS = 120  # likewise, margin included
+_BESIDE = 1.5  # × the greatest height: margin of the field; its sides then still have an effect of a hundredth
+_ROUNDS = 40  # of the iteration for a level of the field: the closer that is to an even share, the faster it converges
 _SAMPLES = 3  # of the surfaces, from knot to knot
-_PITCH = 1e-3  # m between corners of the facets that stand for what is printed
+_PITCH = 1e-3  # m between corners of the facets that represent printed layers
 _MOST_PITCHES = 300  # along the longer side
-_WHOLE = 1e-6  # layers: so little more than a whole number is that number
+_WHOLE = 1e-6  # layers: up to this much above a whole number counts as that number
 
-MOST_FACETS = 2_000_000  # once they are
-_DECIMALS = 9  # of a metre: corners that are one corner differ by rounding, once the file is turned
+MOST_FACETS = 2_000_000  # after halving of edges
+_DECIMALS = 9  # of a metre: identical corners differ by rounding after the file is turned
 _TINY = 1e-30  # m
-_SAME_ANGLE = 6  # decimals of a radian: facets of two bodies that lie on each other
+_SAME_ANGLE = 6  # decimals of a radian to which facets of two touching bodies agree
 _HAIR = 1e-8  # m between bodies that touch
-_AREA = 1e-12  # m^2: an outline around less is none
+_AREA = 1e-12  # m^2: outlines around less are ignored
 
 
 @dataclass(frozen=True)
 class Morph:
     """A stack of `count` layers: the k-th begins at lower + k * thickness [m], both with the same knots.
 
-    off  factors of `departures` (k / count), likewise, that are added; none where layers share the height out evenly
+    off  factors of `departures` (k / count) that are added, likewise; none if layers divide the height evenly
     """
 
     lower: HeightField
@@ -77,8 +77,10 @@ class Morph:
         return cls(fields[0], fields[1], float(count))
 
     def harmonic(self) -> Morph:
-        """The levels of the harmonic field between the first and the last of these layers, which go on straight beside their
-        rectangle for so far that its sides do not matter."""
+        """The levels of the harmonic field between the first and the last of these layers.
+
+        Beyond their rectangle these continue straight, far enough for the sides of the field not to matter.
+        """
         low, high = self.lower.span
         thickest = float(self.thickness.coefficients.max())
         beside = _BESIDE * self.count * thickest
@@ -113,7 +115,7 @@ class Morph:
         return departures(np.clip(np.array(level / self.count), 0.0, 1.0))[: len(self.off)]
 
     def _with(self, heights: Array, factors: Array) -> HeightField:
-        """Heights with the departures by these factors."""
+        """Heights plus the departures with these factors."""
         for factor, surface in zip(factors.tolist(), self.off, strict=True):
             heights = heights + factor * surface.coefficients
         return HeightField(self.lower.corner, self.lower.step, heights)
@@ -131,7 +133,7 @@ class Morph:
         return np.asarray(found)
 
     def heights(self, plane: Array, level: Array) -> Array:
-        """Heights (n) of the surfaces so many layers (n) up at x, y (n, 2) [m]."""
+        """Heights (n) at x, y (n, 2) of the surfaces `level` (n) layers up [m]."""
         lower, thickness = (surface.at(plane)[0][:, 2] for surface in (self.lower, self.thickness))
         out = lower + level * thickness
         for factor, surface in zip(departures(np.clip(level / self.count, 0.0, 1.0)).T, self.off, strict=False):
@@ -153,28 +155,28 @@ class Morph:
 
 
 def _straight_on(surface: HeightField, plane: Array) -> Array:
-    """Heights (n) [m] of a surface at x, y (n, 2), beside its rectangle straight on from the nearest place of that."""
+    """Heights (n) [m] of a surface at x, y (n, 2); outside its rectangle, straight on from the nearest place in it."""
     held = np.clip(plane, *surface.span)
     points, normals = surface.at(held)
     return np.asarray(points[:, 2] - ((plane - held) * normals[:, :2]).sum(axis=1) / normals[:, 2])
 
 
 def _ramp(x: Array, reach: float) -> Array:
-    """The greater of x and 0, bent within `reach` of 0, with three continuous derivatives."""
+    """The greater of x and 0, rounded within `reach` of 0, with three continuous derivatives."""
     t = np.clip((x + reach) / (2.0 * reach), 0.0, 1.0)
     return np.where(x >= reach, x, 2.0 * reach * t**4 * (2.5 - 3.0 * t + t**2))
 
 
 @dataclass(frozen=True)
 class MorphedLayers:
-    """What carries the layers, and the layers as they are printed, solid down to the bed (metres, part frame).
+    """The base, and the layers as they are printed, solid down to the bed (metres, part frame).
 
-    base     what the layers begin at, where it is a mesh
-    regions  what each layer covers in the plane
+    base     the surface at which the layers begin, if it is a mesh
+    regions  regions of the layers in the plane
     layers   of all beads in print order
-    solid    how many layers are there
-    grown    their upper side as facets, worked out when it is asked for
-    tops     on the grid of these, how many layers were there last and their upper side's heights
+    solid    how many layers are already there
+    grown    their upper side as facets, computed on request
+    tops     the number of layers last requested, and the heights of their upper side on the grid of these facets
     """
 
     morph: Morph
@@ -186,7 +188,7 @@ class MorphedLayers:
     tops: list[tuple[int, Array]] = field(default_factory=list, compare=False)
 
     def before(self, bead: int) -> MorphedLayers:
-        """The surface when the first `bead` beads have been printed: without the layer of the last of them."""
+        """The surface after the first `bead` beads, without the layer of the last of them."""
         return replace(self, solid=self.layers[bead - 1] if bead > 0 else 0)
 
     def signed_distance(self, points: Array) -> Array:
@@ -201,7 +203,7 @@ class MorphedLayers:
         return np.asarray(np.minimum(nearest, np.where(points[:, 2] < top, -1.0, 1.0) * grown.distance(points)))
 
     def normals(self, points: Array) -> Array:
-        """Upward unit normals (n, 3) of the layers' surfaces through points (n, 3), of the first or last beyond them."""
+        """Upward unit normals (n, 3) of the layer surfaces through points (n, 3), or of the first or last of all."""
         held = points.copy()
         level = np.clip(self.morph.levels(points), 0.0, len(self.regions))
         held[:, 2] = self.morph.heights(points[:, :2], level)
@@ -229,12 +231,12 @@ class MorphedLayers:
             there = shapely.contains_xy(region, plane[:, 0], plane[:, 1]).reshape(grid.shape[:2])
             covered = binary_dilation(there).ravel()  # so that the rim is not cut off
             top[covered] = self.morph.field(layer + 1).at(plane[covered])[0][:, 2]
-        self.tops[:] = [(self.solid, top)]  # beads are asked for in print order: the next time goes on from here
+        self.tops[:] = [(self.solid, top)]  # beads are requested in print order: the next call continues from here
         return FacetTree.over(np.column_stack([plane, top]).reshape(*grid.shape[:2], 3))
 
 
 class NotClosed(ValueError):
-    """A body with a hole in its skin, or two facets that face opposite ways beside an edge, at `place` (3) [m]."""
+    """A body with a hole in its skin, or two facets that face opposite ways at an edge, at `place` (3) [m]."""
 
     def __init__(self, place: Array, opposite: bool) -> None:
         self.place, self.opposite = place, opposite
@@ -242,9 +244,9 @@ class NotClosed(ValueError):
 
 
 def _sides_that_meet(vertices: Array, facets: Ints) -> tuple[Ints, Ints]:
-    """Pairs of sides of facets (m, 3) that are one edge of a body's skin: 3 times the facet and the corner they begin at.
+    """Pairs of facet sides that form one edge of a body's skin; a side's number is 3 * facet + the corner it begins at.
 
-    Where more than two meet, as two bodies touch there, it is those with material between them. Raises NotClosed.
+    Where more than two meet, as where bodies touch, those with material between them are paired. Raises NotClosed.
     """
     ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=-1).reshape(-1, 2)
     forward = ends[:, 0] < ends[:, 1]
@@ -254,7 +256,7 @@ def _sides_that_meet(vertices: Array, facets: Ints) -> tuple[Ints, Ints]:
     if len(ahead) != len(back) or (key[ahead] != key[back]).any():
         once, count = np.unique(key, return_counts=True)
         balance = np.bincount(np.searchsorted(once, key), np.where(forward, 1.0, -1.0))
-        worst = int(np.argmax(np.where(balance != 0.0, 1 + (count % 2), 0)))  # holes before what faces the other way
+        worst = int(np.argmax(np.where(balance != 0.0, 1 + (count % 2), 0)))  # holes before facets that face away
         ends_of = [once[worst] // len(vertices), once[worst] % len(vertices)]
         raise NotClosed(vertices[ends_of].mean(axis=0), bool(count[worst] % 2 == 0))
     first = np.flatnonzero(np.diff(key[ahead], prepend=-1))
@@ -266,15 +268,14 @@ def _sides_that_meet(vertices: Array, facets: Ints) -> tuple[Ints, Ints]:
 
 
 def _with_material_between(vertices: Array, facets: Ints, ahead: Ints, back: Ints) -> Ints:
-    """Of the sides (n) that run back along an edge, in the order of those (n) that run ahead: the one with which each
-    bounds material."""
+    """For each side (n) that runs ahead along an edge, the one (n) running back with which it bounds material."""
     foot, head = vertices[facets.ravel()[ahead[0]]], vertices[facets.ravel()[back[0]]]
     along = (head - foot) / np.linalg.norm(head - foot)
     sides = np.concatenate([ahead, back])
     wing = vertices[facets[sides // 3, (sides + 2) % 3]] - foot
     wing = wing - (wing @ along)[:, None] * along
     across = np.linalg.norm(wing, axis=1)
-    widest = int(np.argmax(across))  # one without an area says nothing of where it points
+    widest = int(np.argmax(across))  # a facet without an area has no direction
     x = wing[widest] / max(float(across[widest]), _TINY)
     angle = np.round(np.arctan2(wing @ np.cross(along, x), wing @ x), _SAME_ANGLE)
     # around the edge material begins at a side that runs back, and ends at the next that runs ahead
@@ -306,13 +307,13 @@ class Solid(ReadOnlyArrays):
     def of(cls, corners: Array) -> Solid:
         """The body with facets (m, 3, 3), or several that may touch: where they do, each keeps vertices of its own.
 
-        Raises NotClosed where an edge has not as many facets to one side as to the other.
+        Raises NotClosed where an edge has more facets on one side than on the other.
         """
         vertices, number = np.unique(np.round(corners.reshape(-1, 3), _DECIMALS), axis=0, return_inverse=True)
         facets = number.reshape(-1, 3).astype(np.int64)
         facets = facets[(facets != np.roll(facets, 1, axis=1)).all(axis=1)]
         one, other = _sides_that_meet(vertices, facets)
-        # corners that go together: where a side begins, the other one ends
+        # corners that belong together: where a side begins, the other one ends
         after_one, after_other = one - one % 3 + (one + 1) % 3, other - other % 3 + (other + 1) % 3
         row, column = np.concatenate([one, after_one]), np.concatenate([after_other, other])
         joined = coo_array((np.ones(len(row), dtype=np.int8), (row, column)), shape=(facets.size, facets.size))
@@ -322,7 +323,7 @@ class Solid(ReadOnlyArrays):
 
     @property
     def volume(self) -> float:
-        """What it holds [m^3]."""
+        """Its volume [m^3]."""
         a, b, c = (self.vertices[self.facets[:, k]] for k in range(3))
         return float((a * np.cross(b, c)).sum() / 6.0)
 
@@ -340,7 +341,7 @@ class Solid(ReadOnlyArrays):
         raise TooFine(f"more than {MOST_FACETS} facets")
 
     def _halved(self, longest: float) -> Solid:
-        """Every edge longer than `longest` [m] in the plane cut in its middle, and facets as its halves ask; itself if none."""
+        """The body with edges longer than `longest` [m] in the plane halved, facets split to match; itself if none."""
         edges = np.sort(np.stack([self.facets, np.roll(self.facets, -1, axis=1)], axis=-1), axis=2)
         once, number = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)
         ends = self.vertices[once]
@@ -365,7 +366,7 @@ class Solid(ReadOnlyArrays):
         return Solid(np.vstack([self.vertices, ends[long].mean(axis=1)]), np.concatenate(facets))
 
     def section(self, heights: Array, level: float) -> shapely.MultiPolygon:
-        """The region in the plane that belongs to the body where the vertices' `heights` (n) come to `level`."""
+        """The region in the plane within the body where the vertices' `heights` (n), interpolated, equal `level`."""
         return _region(list(self._outlines(heights, level)))
 
     def _outlines(self, heights: Array, level: float) -> Iterator[Array]:
@@ -378,7 +379,7 @@ class Solid(ReadOnlyArrays):
         n = np.int64(len(self.vertices))
 
         def crossing(where: NDArray[np.bool_]) -> tuple[Ints, Array]:
-            """Of the one edge a facet is crossed at: a number that both its facets know it by, and the place (2)."""
+            """For the edge at which a facet is crossed: a number shared by both its facets, and the place (2)."""
             k = np.argmax(where, axis=1)
             row = np.arange(len(facets))
             ends = np.sort(np.column_stack([facets[row, k], facets[row, (k + 1) % 3]]), axis=1)
@@ -404,8 +405,10 @@ class Solid(ReadOnlyArrays):
 
 
 def _region(outlines: list[Array]) -> shapely.MultiPolygon:
-    """What outlines enclose: those of bodies that overlap together, without what runs the other way round within them, where
-    no further body is."""
+    """The region that outlines enclose: the union of overlapping bodies, without their holes where no other body is.
+
+    Outlines of holes run the other way round.
+    """
     rings = [(polygons(shapely.make_valid(shapely.Polygon(outline))), _turns_left(outline)) for outline in outlines]
     covered: list[shapely.Geometry] = [shapely.MultiPolygon()]  # by one body at least, by two at least, ...
     for ring, outer in sorted(rings, key=lambda each: -each[0].area):
@@ -423,7 +426,7 @@ def _region(outlines: list[Array]) -> shapely.MultiPolygon:
 
 
 def _joined(region: shapely.MultiPolygon) -> shapely.MultiPolygon:
-    """The same without the hair that rounding leaves between bodies that touch."""
+    """The same without the hairline gaps that rounding leaves between touching bodies."""
     parts = shapely.get_parts(region)
     one, other = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=_HAIR)
     if (one == other).all():
@@ -438,7 +441,7 @@ def _turns_left(outline: Array) -> bool:
 
 
 def polygons(found: shapely.Geometry) -> shapely.MultiPolygon:
-    """The areas of what an operation gave, without its lines and points."""
+    """The polygons in the result of an operation, without its lines and points."""
     parts = shapely.get_parts(found, return_index=False)
     flat = [inner for part in parts for inner in shapely.get_parts(part)]
     return shapely.MultiPolygon([part for part in flat if isinstance(part, shapely.Polygon) and part.area > _AREA])

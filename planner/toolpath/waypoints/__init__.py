@@ -1,1 +1,1 @@
-"""Toolpaths that a file says point by point."""
+"""Toolpaths that a file gives point by point."""

@@ -1,4 +1,4 @@
-"""Waypoints from arrays of Python's: shapes, units and numbers are looked at here, and named by argument and index."""
+"""Waypoints from Python arrays: checks shapes, units and numbers, and names errors by argument and index."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from planner.base.errors import InputError
 from planner.problem.waypoint_arrays import WaypointArrays
 from planner.toolpath.waypoints.reader import FARTHEST, MOST_LAYERS, SIZES, TO_SI, have_length
 
-# m: few prints are larger, and few are smaller than 5 mm. Millimetres that are taken for metres are kilometres of path, each
-# place of which is looked at before anybody asks what the arm reaches.
+# m: few prints are larger, and few are smaller than 5 mm. Millimetres mistaken for metres make kilometres of path, all
+# processed before anything checks the arm's reach.
 LARGEST_UNSAID = 5.0
 _ONE_BY_ONE = "(n, 3), or a list of such arrays, one for each bead"
 
@@ -41,20 +41,20 @@ def waypoints_of(
     at = WaypointArrays(x, x, firsts=firsts).index
     if counts is not None:
         if bead is not None:
-            raise InputError("points are given bead by bead", field="bead", hint="leave it out")
+            raise InputError("is not needed where points are given bead by bead", field="bead", hint="leave it out")
         bead = np.repeat(np.arange(len(counts)), counts)
     n = _normals(normals, len(x), counts)
     x = x * TO_SI[unit]
-    _check("points", x, at, np.isfinite(x).all(axis=1), "{} is no point")
+    _check("points", x, at, np.isfinite(x).all(axis=1), "{} is not a point")
     far = "{} " + f"{unit} is farther than {FARTHEST / 1e3:g} m from the origin"
     hint = "points are in metres unless unit='mm' is given" if unit == "m" else None
     _check("points", x / TO_SI[unit], at, np.abs(x).max(axis=1) <= 1e-3 * FARTHEST, far, hint)
     size = np.ptp(x, axis=0)
     if unsaid and float(size.max()) > LARGEST_UNSAID:
         large = " x ".join(f"{each:.3g}" for each in size)
-        hint = "unit='mm' if they are millimetres, unit='m' if it is as large as that"
-        raise InputError(f"are taken for metres, and the print is {large} m large", field="points", hint=hint)
-    _check("normals", n, at, np.isfinite(n).all(axis=1), "{} is no direction")
+        hint = "unit='mm' if they are millimetres, unit='m' if it is that large"
+        raise InputError(f"are taken as metres, which makes the print {large} m in size", field="points", hint=hint)
+    _check("normals", n, at, np.isfinite(n).all(axis=1), "{} is not a direction")
     _check("normals", n, at, have_length(n), "{} has no length", "a direction, of any length")
     sizes: dict[str, Array | None] = {}
     for name, value in (("width", width), ("height", height)):
@@ -62,18 +62,32 @@ def waypoints_of(
         if column is not None:
             valid = f"{SIZES[0] / TO_SI[unit]:g} to {SIZES[1] / TO_SI[unit]:g} {unit}"
             fits = (column >= SIZES[0]) & (column <= SIZES[1])
-            _check(name, column / TO_SI[unit], at, fits, "{} " + f"{unit} is no {name} of a bead", f"valid: {valid}")
+            _check(
+                name,
+                column / TO_SI[unit],
+                at,
+                fits,
+                "{} " + f"{unit} is not a valid {name} for a bead",
+                f"valid: {valid}",
+            )
     numbers: dict[str, Array | None] = {}
     for name, value in (("layer", layer), ("bead", bead)):
         column = numbers[name] = None if value is None else _column(name, value, len(x), counts)
         if column is not None:
             whole = (column == np.round(column)) & (np.abs(column) <= MOST_LAYERS)
-            _check(name, column, at, whole, "{} is no number of a " + name, f"a whole number, {MOST_LAYERS:g} at most")
+            _check(
+                name,
+                column,
+                at,
+                whole,
+                "{} is not a valid number for a " + name,
+                f"a whole number, {MOST_LAYERS:g} at most",
+            )
     return WaypointArrays(x, n, **sizes, **numbers, firsts=firsts)
 
 
 def _points(points: Any) -> tuple[Array, Ints | None]:
-    """Points (n, 3) as they are given, and the first of each bead where they are given bead by bead."""
+    """Points (n, 3) as given, and the first of each bead if they are given bead by bead."""
     if not _one_by_one(points):
         x, firsts = _numbers("points", points), None
         if x.ndim != 2 or x.shape[1] != 3:
@@ -82,11 +96,11 @@ def _points(points: Any) -> tuple[Array, Ints | None]:
         beads = [_numbers(f"points[{i}]", each) for i, each in enumerate(points)]
         for i, each in enumerate(beads):
             if each.ndim != 2 or each.shape[1] != 3 or len(each) < 2:
-                raise InputError(f"has shape {each.shape}", field=f"points[{i}]", hint="(n, 3), n at least 2")
+                raise InputError(f"has shape {each.shape}", field=f"points[{i}]", hint="(n, 3), with n at least 2")
         x = np.concatenate(beads)
         firsts = np.cumsum([0, *(len(each) for each in beads[:-1])]).astype(np.int64)
     if len(x) < 2:
-        raise InputError(f"has shape {x.shape}", field="points", hint="two points at least")
+        raise InputError(f"has shape {x.shape}", field="points", hint="at least two points")
     WAYPOINTS.check(
         len(x), "points has", lambda reason, hint=None: InputError(reason, field="points", hint=hint), "thin them out"
     )
@@ -94,7 +108,7 @@ def _points(points: Any) -> tuple[Array, Ints | None]:
 
 
 def _one_by_one(points: Any) -> bool:
-    """Whether points are a sequence of arrays (n, 3): what has rows of rows in it."""
+    """Whether points are a sequence of arrays (n, 3), that is, rows of rows."""
     if isinstance(points, np.ndarray):
         return points.ndim == 3
     if not isinstance(points, (list, tuple)) or not len(points):
@@ -104,12 +118,12 @@ def _one_by_one(points: Any) -> bool:
 
 
 def _in_beads(normals: Any) -> bool:
-    """Whether normals are given bead by bead, as arrays or as one (3) for each."""
+    """Whether normals are given bead by bead, as arrays or as one (3) per bead."""
     return _one_by_one(normals) or (isinstance(normals, (list, tuple)) and _has_rows(normals))
 
 
 def _has_rows(value: Sequence[Any]) -> bool:
-    """Whether the first item is a row itself: a list, or what has as many indices as one, such as a column of a table."""
+    """Whether the first item is itself a row: a list, or an object with dimensions, such as a column of a table."""
     return len(value) > 0 and (isinstance(value[0], (list, tuple)) or getattr(value[0], "ndim", 0) > 0)
 
 
@@ -118,7 +132,7 @@ def _normals(normals: Any, count: int, counts: Ints | None) -> Array:
     if counts is not None and _in_beads(normals):
         each = [_numbers(f"normals[{i}]", one) for i, one in enumerate(normals)]
         if len(each) != len(counts):
-            raise InputError(f"has {len(each)} beads, points {len(counts)}", field="normals")
+            raise InputError(f"has {len(each)} beads, but points has {len(counts)}", field="normals")
         for i, (one, n) in enumerate(zip(each, counts, strict=True)):
             if one.shape not in ((n, 3), (3,)):
                 raise InputError(f"has shape {one.shape}, points[{i}] {(int(n), 3)}", field=f"normals[{i}]")
@@ -133,7 +147,7 @@ def _normals(normals: Any, count: int, counts: Ints | None) -> Array:
 
 
 def _column(name: str, value: Any, count: int, counts: Ints | None) -> Array:
-    """A number for each waypoint (n): one for all, one for each, or of beads that are given one by one, as these."""
+    """A number for each waypoint (n), given once for all, one for each, or bead by bead like the points."""
     given = value if isinstance(value, (list, tuple)) else np.atleast_1d(_numbers(name, value))
     if counts is not None and len(given) == len(counts):
         parts = [_numbers(f"{name}[{i}]", each) for i, each in enumerate(given)]
@@ -144,7 +158,7 @@ def _column(name: str, value: Any, count: int, counts: Ints | None) -> Array:
     found = _numbers(name, value)
     if found.shape not in ((), (count,)):
         hint = "one for each point, or one for all" if counts is None else "one for each bead or point, or one for all"
-        raise InputError(f"has shape {found.shape}, there are {count} points", field=name, hint=hint)
+        raise InputError(f"has shape {found.shape}, but there are {count} points", field=name, hint=hint)
     return np.broadcast_to(found, (count,)).copy()
 
 
@@ -155,7 +169,7 @@ def _numbers(name: str, value: Any) -> Array:
     try:
         found = np.asarray(value)
     except ValueError:  # rows of different lengths
-        raise InputError("is no array: its rows differ in length", field=name) from None
+        raise InputError("is not an array: its rows differ in length", field=name) from None
     if found.dtype.kind not in "fiu":
         what = "nothing" if value is None else f"an array of {found.dtype}"
         raise InputError(f"must be numbers, not {what}", field=name)
@@ -163,7 +177,7 @@ def _numbers(name: str, value: Any) -> Array:
 
 
 def _check(name: str, values: Array, at: Callable[[int], str], fine: Any, text: str, hint: str | None = None) -> None:
-    """Raise InputError for the first waypoint that is not fine; {} in the text is its value."""
+    """Raise InputError for the first waypoint that fails a check; {} in the text is its value."""
     if fine.all():
         return
     i = int(np.argmin(fine))

@@ -1,6 +1,6 @@
-"""Beads through the waypoints of a file; each path is checked before it is followed.
+"""Beads through the waypoints of a file; each path is checked first.
 
-A path must be long enough for a bead, and run along the surface that its normals belong to.
+A path must be long enough for a bead, and run along the surface to which its normals belong.
 """
 
 from __future__ import annotations
@@ -29,38 +29,38 @@ from planner.toolpath.waypoints.reader import WaypointFile, Waypoints, read_wayp
 from planner.toolpath.waypoints.struts import struts_of
 from planner.toolpath.waypoints.surfels import Surfels, other_height, with_layers
 
-MOST_TURN = 90.0  # deg, of the normal from one waypoint to the next: no surface that a nozzle can follow turns further
-STEEPEST = 0.8  # sine of the angle between path and surface; steeper over half its length, it is on no surface
-LOOKS_PER_WIDTH = 4.0  # places in each bead's width of a path at which it is seen whether the nozzle is clear there
-NOTED = np.radians(0.05)  # noise of half the normals; of those that come from formulas it is less than a tenth
-CLEAR = 2e-5  # m, and a tenth of a bead's height: how far it must be, since it may be that far off its path
+MOST_TURN = 90.0  # deg by which the normal may turn between waypoints: no surface that a nozzle can follow turns more
+STEEPEST = 0.8  # sine of the angle between path and surface; if steeper over half its length, a path is on no surface
+LOOKS_PER_WIDTH = 4.0  # places per bead width along a path at which the nozzle's clearance is checked
+NOTED = np.radians(0.05)  # noise of half the normals; those from formulas have less than a tenth of it
+CLEAR = 2e-5  # m, or a tenth of a bead's height if less: least clearance, since the tip may be this far off its path
 
 SPATIAL = "layers.source.kind: spatial"
-_TINY = 2.0  # widths of a bead: a file that is smaller may be in metres
-_UNLIKE = 1.5  # times a bead's height from which on layers are evidently farther apart than that
-_APART = 0.5  # of the bead's width: passes lie no closer to each other
-_PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
+_TINY = 2.0  # bead widths: a smaller file may be in metres
+_UNLIKE = 1.5  # × a bead's height above which layers are evidently farther apart than a bead is high
+_APART = 0.5  # × the bead's width: spacing of the source's points; passes lie no closer together
+_PER_RUN = 10.0  # samples per run-in, which set the spacing at the bead's ends
 
 
 class NoSurface(InputError):
-    """Waypoints that lie on no surface: what they print, if anything, are struts in space."""
+    """Waypoints that lie on no surface: if they print anything, it is struts in space."""
 
 
 def in_metres(paths: Sequence[Waypoints], spec: WaypointsSpec, width: float) -> str:
-    """What to say of a file in mm all of which is hardly larger than the width of a bead [m]; nothing of any other."""
+    """A note on a file in mm that is hardly larger than the width of a bead [m]; empty for any other."""
     points = np.concatenate([path.points for path in paths])
     size = np.ptp(points, axis=0)
     if spec.unit != "mm" or not 0.0 < float(size.max()) < _TINY * width:
         return ""
     x, y, z = 1e3 * size
     return (
-        f"all of it is {x:.3g} x {y:.3g} x {z:.3g} mm large; of a file in metres (layers.source.unit: m) it would be "
+        f"it measures only {x:.3g} x {y:.3g} x {z:.3g} mm; read in metres (layers.source.unit: m) it would measure "
         f"{1e3 * x:.3g} x {1e3 * y:.3g} x {1e3 * z:.3g} mm"
     )
 
 
 def check_waypoints(path: Waypoints, spec: WaypointsSpec, width: float) -> None:
-    """Raise InputError, with the place, for a path that is no bead of this width [m]."""
+    """Raise InputError, with the place, for a path that cannot be a bead of this width [m]."""
     _check_length(path, spec, width)
     _check_normals(path, spec)
 
@@ -81,7 +81,7 @@ def check_section(path: Waypoints, process: ProcessSpec, spec: WaypointsSpec) ->
 
 
 def _check_length(path: Waypoints, spec: WaypointsSpec, width: float) -> None:
-    """At least as long as its bead is wide."""
+    """Raise InputError for a path shorter than its bead is wide."""
     drawn = length(path.points)
     if drawn < width:
         raise InputError(
@@ -93,7 +93,7 @@ def _check_length(path: Waypoints, spec: WaypointsSpec, width: float) -> None:
 
 
 def _check_normals(path: Waypoints, spec: WaypointsSpec) -> None:
-    """A normal that jumps to the other side belongs to no surface, and half way there is none at all."""
+    """Raise InputError where a normal jumps to the other side: that is no surface, and halfway there is no normal."""
     turn = np.degrees(angles_between(path.normals[:-1], path.normals[1:]))
     i = int(np.argmax(turn > MOST_TURN))
     if turn[i] > MOST_TURN:
@@ -105,7 +105,7 @@ def _check_normals(path: Waypoints, spec: WaypointsSpec) -> None:
 
 
 def check_slope(path: Waypoints, spec: WaypointsSpec) -> None:
-    """A path may climb to its next layer, but not run along its normals throughout. Raises NoSurface."""
+    """Raise NoSurface for a path that runs along its normals for most of its length; it may climb to its next layer."""
     way, middle = np.diff(path.points, axis=0), path.normals[:-1] + path.normals[1:]
     length = np.linalg.norm(way, axis=1)
     climb = np.abs((way * middle).sum(axis=1)) / np.linalg.norm(middle, axis=1)
@@ -114,16 +114,16 @@ def check_slope(path: Waypoints, spec: WaypointsSpec) -> None:
         raise NoSurface(
             f"{path.name} runs along its normals, not along a surface",
             **spec.place(path.lines[int(np.argmax(steep))]),
-            hint="nx ny nz is the normal of the surface, not the direction of the path; of columns and struts in space, which "
-            f"lie on none, it is against the nozzle: {SPATIAL}",
+            hint="nx ny nz is the normal of the surface, not the direction of the path; for columns and struts in space, which "
+            f"lie on none, it points against the nozzle: {SPATIAL}",
         )
 
 
 def check_clear(path: Waypoints, bead: Bead, surface: Surfels, spec: WaypointsSpec) -> None:
     """Raise NoSurface, with the place, where the nozzle would lay the path's bead inside the part.
 
-    surface: what the first layer lies on and all that is printed before the bead. Inside is where passes contradict
-    each other: what one lies on is where another one runs.
+    surface: the ground of the first layer and everything printed before the bead. Inside means that passes contradict
+    each other: one runs through what another lies on.
     """
     steps = np.ceil(np.diff(bead.s) * LOOKS_PER_WIDTH / bead.width[:-1]).astype(int)
     sample, share = subdivided(steps)
@@ -133,13 +133,13 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surfels, spec: WaypointsSp
         i = int(np.argmin(gap))
         depth = f"{-gap[i] * 1e3:.2f} mm deep " if gap[i] < -CLEAR else ""
         _, nearest = cKDTree(path.points).query(points[i])
-        hint = "passes that cross or lie beside each other stand at one height, or a bead's height apart"
+        hint = "passes that cross or lie beside each other must be at the same height, or a bead's height apart"
         layer, height = surface.nearest_layer(points[i]), float(bead.height.min())
         if layer > _UNLIKE * height:
             hint += f"; here the nearest one above or below is {layer * 1e3:.1f} mm away, beads are {height * 1e3:g} mm high"
         hint += f"; struts in space: {SPATIAL}"
         raise NoSurface(
-            f"near here {path.name} runs {depth}in what another pass lies on",
+            f"near here {path.name} runs {depth}inside what another pass lies on",
             **spec.place(path.lines[nearest]),
             hint=hint,
         )
@@ -148,7 +148,7 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surfels, spec: WaypointsSp
 def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     """Lay a bead through each path of a file of waypoints, in the file's order: on a surface, or as struts in space.
 
-    Where the problem does not say which, they are on a surface if there is one.
+    If the problem does not say which, they are on a surface if there is one.
     """
     width = problem.process.bead.width
     read = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"), width)
@@ -178,17 +178,17 @@ def _on_a_surface_or_not(problem: Problem, spec: WaypointLayersSpec, read: Waypo
             raise
         at = none.field if none.line is None else f"line {none.line}"
         place = "" if at is None else f" ({at})"
-        why = f"taken for struts in space, since {none.reason}{place}; layers.source.kind says it otherwise"
+        why = f"taken for struts in space, since {none.reason}{place}; layers.source.kind overrides this"
         return in_space(problem, spec, replace(read, notes=(*read.notes, f"{spec.source.name}: {why}")))
 
 
 def _on_a_surface(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile, widths: Sequence[float]) -> Toolpath:
-    """Beads on what lies beneath them. Raises NoSurface where the waypoints contradict one."""
+    """Beads on the surface beneath them. Raises NoSurface if the waypoints contradict one."""
     process = problem.process
     for path in read.beads:
         check_slope(path, spec.source)
         check_section(path, process, spec.source)
-    # a nozzle that may lean passes over noise by itself
+    # a nozzle that may tilt smooths over noise by itself
     unasked = UNASKED if process.cones.tilt == 0.0 else 0.0
     paths, told = calm_normals(read.beads, spec.source.smoothing, unasked)
     sizes = [
@@ -213,7 +213,7 @@ def _on_a_surface(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile
 def in_space(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile) -> Toolpath:
     """Struts and columns in space: round beads that lie on nothing.
 
-    Their diameter is the file's width; where it has none, that of a circle as large as the section of a usual bead.
+    Their diameter is the file's width or, if it has none, that of a circle with the cross-section of a usual bead.
     """
     process = problem.process
     unasked = UNASKED if process.cones.tilt == 0.0 else 0.0
@@ -223,7 +223,7 @@ def in_space(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile) -> 
     laid = tuple(replace(bead, round=True) for bead in laid_through(problem, spec, paths, sizes))
     laid = with_file_layers(laid, paths)
     notes = [f"{spec.source.name}: {told}"] if told else []
-    if spec.source.kind is None:  # it may be a surface that is read with another height
+    if spec.source.kind is None:  # it may be a surface, read with the wrong height
         notes += _height_note(spec, paths, laid, process.bead.height)
     return Toolpath(laid, struts_of(laid), notes=(*read.notes, *notes), told=Told(read.left_out))
 
@@ -238,7 +238,7 @@ def diameter_of(process: ProcessSpec) -> float:
 
 
 def with_file_layers(beads: Sequence[Bead], paths: Sequence[Waypoints]) -> tuple[Bead, ...]:
-    """The same beads, in the layers that the file says, if it does."""
+    """The same beads, in the layers that the file gives, if any."""
     if paths[0].layer is None:
         return tuple(beads)
     _, layers = np.unique([path.layer for path in paths], return_inverse=True)
@@ -278,7 +278,7 @@ def laid_through(
 def _height_note(
     spec: WaypointLayersSpec, paths: Sequence[Waypoints], beads: Sequence[Bead], height: float
 ) -> Iterator[str]:
-    """That layers lie clearly farther apart, or nearer together, than beads are high [m], where the file does not say how high."""
+    """A note if layers are clearly farther apart or closer than beads are high [m], and the file gives no heights."""
     apart = None if paths[0].height is not None else other_height(beads, height)
     if apart is not None:
         yield (
@@ -288,19 +288,19 @@ def _height_note(
 
 
 def _noise_note(beads: Sequence[Bead]) -> Iterator[str]:
-    """What noisy normals cost where the nozzle has to follow them, and what would spare it; nothing for clean ones."""
+    """A note on noisy normals that the nozzle has to follow, and how to avoid it; none for clean normals."""
     half, nearly_all = noise_of(beads)
     if half > NOTED:
         enough = int(np.ceil(np.degrees(2.0 * nearly_all)))
         yield (
-            f"normals are noisy: half of them are more than {np.degrees(half):.2f} deg off what they are smoothed along the "
-            f"bead, and the joints follow all of that; process.cones.nozzle_normal_deg: {enough} would let the nozzle pass "
+            f"normals are noisy: half of them are more than {np.degrees(half):.2f} deg off their smoothed directions along the "
+            f"bead, and the joints follow all of it; process.cones.nozzle_normal_deg: {enough} lets the nozzle pass "
             "over it, layers.source.smooth_normals_deg smooths it away"
         )
 
 
 def _sizes(path: Waypoints, given: Array | float, curve: Interpolated) -> Array:
-    """Width or height (n) [m] along the curve: linear between waypoints, where it is given for each; else the same all along."""
+    """Width or height (n) [m] along the curve: linear between waypoints if given for each, else constant."""
     if isinstance(given, float):
         return np.full(len(curve.points), given)
     return np.interp(curve.chord, arc_lengths(path.points), given)

@@ -1,4 +1,4 @@
-"""Lines of numbers without names: whether they can be x y z nx ny nz, or tell plainly that they are something else."""
+"""Lines of numbers without column names: whether they can be x y z nx ny nz, or are plainly something else."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 
-UNIT_LENGTH = 2e-3  # how far the length of a direction, or of a quaternion, may be off 1: files are rounded
-_ODD_LENGTH = 0.05  # normals that are farther off 1 than this may be something else
+UNIT_LENGTH = 2e-3  # how far the length of a direction or quaternion may be from 1: files are rounded
+_ODD_LENGTH = 0.05  # normals whose lengths are farther from 1 may be something else
 _NORMAL, _FIRST_AFTER, _AXES = slice(3, 6), 6, 9  # columns
 
 
 def meant_otherwise(rows: Sequence[Sequence[float | None]]) -> tuple[str, str]:
-    """What lines (n) of numbers hold instead of x y z nx ny nz, and what to write; two empty strings where they may be that.
+    """What lines (n) of numbers hold instead of x y z nx ny nz, and what to write; empty strings if they may be these.
 
-    It is told from what has length 1 in every line: a matrix of a pose, a quaternion, a frame's three axes, or a direction
-    that stands farther behind. Lines of only six numbers, or not all of the same many, tell nothing.
+    The signs are vectors of length 1 in every line: a pose matrix, a quaternion, a frame's three axes, or a direction
+    in later columns. Lines with only six numbers, or with different counts, show nothing.
     """
     count = len(rows[0]) if rows else 0
     if count <= _FIRST_AFTER or any(len(row) != count or None in row for row in rows):
@@ -31,22 +31,22 @@ def meant_otherwise(rows: Sequence[Sequence[float | None]]) -> tuple[str, str]:
         return "has the three axes of a frame in each line, and no point", f"write its position and {write}"
     if _is_unit(table[:, _NORMAL]):
         if count >= 3 + _AXES and _orthonormal(table[:, 3 : 3 + _AXES]):
-            return "has a point and the three axes of a frame in each line", f"write of the axes {write}"
+            return "has a point and the three axes of a frame in each line", f"of the axes, write only {write}"
         return "", ""
     steady = float(np.ptp(np.linalg.norm(table[:, _NORMAL], axis=1))) < UNIT_LENGTH
     for k in range(3, count - 2):
         three = table[:, k : k + 3]
         if _is_unit(three) and not (steady and (np.ptp(three, axis=0) < UNIT_LENGTH).all()):
-            named = "a line of names above says what the columns are: x y z nx ny nz, and any others"
+            named = "name the columns in a line above: x y z nx ny nz, and any others"
             return f"has directions in columns {k + 1} to {k + 3}, not in 4 to 6", named
         if k + 4 <= count and _is_unit(table[:, k : k + 4]):
             at = "" if k == 3 else f" in columns {k + 1} to {k + 4}"
-            return f"has a quaternion a line, as of tool poses{at}", f"write in its place {write}"
+            return f"has a quaternion in each line, as in tool poses{at}", f"write instead {write}"
     return "", ""
 
 
 def odd_lengths(normals: Array) -> str:
-    """What to say of normals (n, 3) of lines without names that are mostly not of length 1; nothing where they are."""
+    """A note on normals (n, 3) from unnamed columns if most are not of length 1; empty if they are."""
     length = np.linalg.norm(normals, axis=1)
     if not len(length) or abs(float(np.median(length)) - 1.0) <= _ODD_LENGTH:
         return ""
@@ -62,13 +62,13 @@ def _is_unit(vectors: Array) -> bool:
 
 
 def _orthonormal(nine: Array) -> bool:
-    """Whether nine numbers a line (n, 9) are three unit vectors across each other."""
+    """Whether nine numbers per line (n, 9) are three unit vectors perpendicular to each other."""
     axes = nine.reshape(-1, 3, 3)
     return bool((np.abs(axes @ axes.transpose(0, 2, 1) - np.eye(3)) < UNIT_LENGTH).all())
 
 
 def _matrices(table: Array) -> bool:
-    """Whether lines (n, 12 or 16) are matrices of poses, row by row or column by column."""
+    """Whether lines (n, 12 or 16) are pose matrices, row by row or column by column."""
     count = table.shape[1]
     if count not in (12, 16):
         return False

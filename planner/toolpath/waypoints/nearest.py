@@ -1,7 +1,7 @@
-"""The nearest point of what is printed so far: one search tree for every moment of a print.
+"""The nearest point printed so far: one search tree for every moment of a print.
 
-A box round every sixteen neighbouring points, a box round every two of those, and so on. Each box knows the first bead
-that has a point in it, so a search passes over what is not there yet.
+Every sixteen neighbouring points have a box, every two of these boxes another, and so on. Each box knows the first bead
+with a point in it, so a search skips beads that are not there yet.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from planner.base.arrays import Array, Ints, read_only
 from planner.base.compiled import njit
 from planner.base.processes import in_threads
 
-FAR = 50e-3  # m: what is farther away than this is that far away
-ALWAYS = -1  # the bead of points that are there from the beginning
+FAR = 50e-3  # m: greatest distance; anything farther counts as this far away
+ALWAYS = -1  # bead number of points that are there from the start
 _LEAF = 16  # points in the smallest boxes
 _GRID = 20  # bits of each coordinate in the order of the points: three fit into 64
-_MANY = 2_000  # points, fewer than which threads take longer to start than to search
-_DEEPEST = 64  # levels: more than there are points for
+_MANY = 2_000  # points: for fewer, threads take longer to start than to search
+_DEEPEST = 64  # levels: more than the number of points can require
 
 
 class PrintedPoints(NamedTuple):
-    """Points of beads for kernels, in an order in which neighbours are together.
+    """Points of beads for kernels, in an order that keeps neighbours together.
 
-    points (n, 3) [m]; bead (n) whose each is; origin (n) of each in what the tree was made of
-    low, high (2 m, 3), since (2 m)   boxes k and the first bead in each: its halves are 2 k and 2 k + 1, box 1 is all; those
-                                      from m on hold sixteen points each
+    points (n, 3) [m]; bead (n) to which each belongs; origin (n): its index in the points the tree was made of
+    low, high (2 m, 3), since (2 m)   boxes k and the first bead in each: its halves are 2 k and 2 k + 1; box 1 is all,
+                                      and those from m on hold sixteen points each
     """
 
     points: Array
@@ -39,7 +39,7 @@ class PrintedPoints(NamedTuple):
 
 
 def printed_points(points: Array, bead: Ints) -> PrintedPoints:
-    """A search tree of points (n, 3) of beads (n), ALWAYS for what is there from the beginning; n may be 0."""
+    """A search tree of points (n, 3) of beads (n), ALWAYS for points there from the start; n may be 0."""
     order = _in_neighbourhood(points)
     leaves = 1 << max(int(np.ceil(np.log2(max(-(-len(points) // _LEAF), 1)))), 0)
     low, high = np.full((2 * leaves, 3), np.inf), np.full((2 * leaves, 3), -np.inf)
@@ -62,7 +62,7 @@ def printed_points(points: Array, bead: Ints) -> PrintedPoints:
 
 
 def _in_neighbourhood(points: Array) -> Ints:
-    """An order (n) of points (n, 3) that keeps neighbours together: that of the Z-shaped curve through all cells of a grid."""
+    """An order (n) of points (n, 3) that keeps neighbours together: the Z-order curve through the cells of a grid."""
     if not len(points):
         return np.zeros(0, dtype=np.int64)
     extent = float(np.ptp(points, axis=0).max())
@@ -77,7 +77,7 @@ def _in_neighbourhood(points: Array) -> Ints:
 def nearest_printed(tree: PrintedPoints, printed: int, points: Array, far: float = FAR) -> tuple[Array, Ints]:
     """Distances (n) [m] of points (n, 3) from the nearest one of the first `printed` beads, and its index (n).
 
-    Where none is within `far`: that, and -1. Of two that are as near the one with the smaller index is taken.
+    If none is within `far`, returns `far` and -1. Of two equally near points the one with the smaller index counts.
     """
     points = read_only(points)
     distance, index = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
@@ -94,7 +94,7 @@ def nearest_printed(tree: PrintedPoints, printed: int, points: Array, far: float
 
 @njit
 def _nearest(tree: PrintedPoints, printed: int, points: Array, far: float, distance: Array, index: Ints) -> None:
-    """Fill distance (n) and index (n) as `nearest_printed` tells."""
+    """Fill distance (n) and index (n) as `nearest_printed` returns them."""
     leaves = len(tree.since) // 2
     stack, apart = np.empty(_DEEPEST, dtype=np.int64), np.empty(_DEEPEST)
     for i in range(len(points)):

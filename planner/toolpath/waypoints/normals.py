@@ -1,4 +1,4 @@
-"""Noisy normals of waypoints, smoothed within a bound: joints would follow all of their noise, and what is printed gains nothing."""
+"""Smooths noisy normals of waypoints within a bound: joints would follow the noise, with no gain for the print."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ from planner.base.arrays import Array
 from planner.base.geometry import angles_between, arc_lengths
 from planner.toolpath.waypoints.reader import Waypoints
 
-REACH = 3e-3  # m, about, to either side over which a normal is averaged; waves of 30 mm or more stay
-NOISY = np.radians(0.02)  # of half the normals: noise from which on joints feel it; exact ones have far less
-UNASKED = np.radians(3.0)  # how far noisy normals are turned at most where nothing is said of it,
-_TIMES_NOISE = 15.0  # and how many times what half of them are off: some are off by far more
-_FEWEST_STEPS, _MOST_STEPS = 0.7, 40.0  # usual steps of the path that normals are averaged over
-_LEAST_STEP = 1.0 / 400.0  # of what is averaged over: closer waypoints count as if they were so far apart
-_ROUNDS = 40  # in which normals that were turned too far are held more firmly
+REACH = 3e-3  # m, roughly, to either side over which a normal is averaged; waves of 30 mm or more stay
+NOISY = np.radians(0.02)  # noise of half the normals above which joints feel it; exact ones have far less
+UNASKED = np.radians(3.0)  # how far noisy normals are turned at most by default
+_TIMES_NOISE = 15.0  # × their median deviation: the same bound, if this is less; some deviate by far more
+_FEWEST_STEPS, _MOST_STEPS = 0.7, 40.0  # usual steps of the path: bounds on the averaging length
+_LEAST_STEP = 1.0 / 400.0  # of the averaging length: closer waypoints count as this far apart
+_ROUNDS = 40  # rounds in which normals that were turned too far are held more firmly
 _FIRMER = 1.3  # least factor for those
-_NONE = 1e-12  # rad, and length of a mean of normals: none at all
+_NONE = 1e-12  # rad, and length of a mean of normals: counts as zero
 _LEAST_BOUND = 1e-9  # rad: less is no smoothing
-_ORDER = 3  # of the derivative that is made small
-_NOISE_ORDER = 12  # of the differences that show noise: of a smooth curve they all but vanish
+_ORDER = 3  # of the derivative that is minimised
+_NOISE_ORDER = 12  # of the differences that reveal noise: for a smooth curve they all but vanish
 _SAME_PLACE = 0.5  # usual steps between the ends of a closed path
-_ROUND = 6.0  # reaches that a closed path goes on with at both ends
+_ROUND = 6.0  # reaches by which a closed path is continued at both ends
 
 
 def calm_normals(
     paths: Sequence[Waypoints], asked: float | None, unasked: float = UNASKED
 ) -> tuple[tuple[Waypoints, ...], str]:
-    """Paths with normals that are smoothed as far as is asked for [rad]; and what to say of that, if anything.
+    """Paths with normals smoothed by at most `asked` [rad]; and a note on that, if any were.
 
-    Where nothing is asked for (None) and normals are noisy, they are smoothed as far as `unasked` [rad], or a multiple of
-    the noise.
+    If `asked` is None and normals are noisy, they are smoothed by at most `unasked` [rad], or a multiple of the noise.
     """
     bound, why, instead = asked, "", ""
     if asked is None:
@@ -55,14 +54,17 @@ def calm_normals(
 
 
 def noise_of_normals(paths: Sequence[Waypoints]) -> float:
-    """What half of the normals are off a smooth course [rad]; 0 where paths are too short to tell."""
+    """Median deviation of the normals from a smooth course [rad]; 0 if paths are too short to tell."""
     off = np.concatenate([jitter(path.normals, arc_lengths(path.points)) for path in paths])
     return float(np.median(off)) if len(off) else 0.0
 
 
 def jitter(normals: Array, s: Array) -> Array:
-    """How far unit normals (n, 3) at arc lengths s (n) [m] are off a smooth course (n - 12) [rad]: divided differences of
-    order 12, so weighed that independent noise comes out as large as it is. None for fewer than thirteen."""
+    """How far unit normals (n, 3) at arc lengths s (n) [m] deviate from a smooth course (n - 12) [rad].
+
+    These are divided differences of order 12, weighted so that independent noise keeps its size. None for fewer than
+    thirteen normals.
+    """
     if len(s) <= _NOISE_ORDER:
         return np.zeros(0)
     places = np.stack([s[k : len(s) - _NOISE_ORDER + k] for k in range(_NOISE_ORDER + 1)], axis=1)
@@ -90,9 +92,9 @@ def _smooth_path(path: Waypoints, bound: float) -> tuple[Array, Array]:
 def smooth_normals(normals: Array, s: Array, bound: float) -> tuple[Array, Array]:
     """Smooth unit normals (n, 3) at arc lengths s (n) [m]; none is turned by more than `bound` [rad].
 
-    Third derivatives along the path are weighed against what the normals are changed by: waves shorter than about six
-    times REACH go. A normal that would turn too far is held back, more firmly until it does not. Returns the
-    normals and the angles (n) [rad] by which they were turned.
+    Third derivatives along the path are weighed against the change of the normals: waves shorter than about six times
+    REACH vanish. A normal that would turn too far is held back, ever more firmly until it does not. Returns the normals
+    and the angles (n) [rad] by which they were turned.
     """
     n = len(normals)
     if n <= _ORDER:
@@ -113,7 +115,7 @@ def smooth_normals(normals: Array, s: Array, bound: float) -> tuple[Array, Array
         if not far.any():
             return smooth, turned
         hold = np.where(far, hold * np.maximum(turned / bound, _FIRMER) ** 2, hold)
-    # a few are still a little beyond the bound: all go back towards the file's by that share
+    # a few are still slightly beyond the bound: all are turned back towards the file's in proportion
     share = bound / turned.max()
     back, ahead = np.sin((1.0 - share) * turned), np.sin(share * turned)
     still = turned <= _NONE
@@ -123,8 +125,10 @@ def smooth_normals(normals: Array, s: Array, bound: float) -> tuple[Array, Array
 
 
 def _third_derivative_bands(step: Array) -> Array:
-    """Lower bands (4, n) of the matrix of the integral of a curve's squared third derivative, by divided differences;
-    step (n - 1) between its points."""
+    """Lower bands (4, n) of the matrix for the integral of a curve's squared third derivative, by divided differences.
+
+    step (n - 1): between the curve's points
+    """
     n = len(step) + 1
     at = np.concatenate([[0.0], np.cumsum(step)])
     four = np.stack([at[k : k + n - _ORDER] for k in range(_ORDER + 1)], axis=1)

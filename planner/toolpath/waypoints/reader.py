@@ -1,6 +1,6 @@
 """A file of waypoints: points and surface normals, split into the paths that become beads.
 
-The file is text, with or without a header that names its columns, or arrays by name.
+The file is text, with or without a header that names its columns, or holds arrays by name.
 """
 
 from __future__ import annotations
@@ -34,37 +34,37 @@ OPTIONAL = ("layer", "bead", "width", "height")
 LENGTHS = ("x", "y", "z", "width", "height")
 LARGEST_FILE = WAYPOINT_BYTES.most
 COMMENTS = ("#", "//", "%", ";")
-_TITLES = 20  # lines at most, in which the one that names columns may stand
-_OBJ_WORDS = ("v", "vn", "vt", "o", "g", "mtllib")  # a file of vertices begins with
-_AXIS = {"i": "nx", "j": "ny", "k": "nz"}  # what programs for milling call the tool's axis
-# pos_x, Points:0; normal_x, Normals:0: as tables and meshes are exported
+_TITLES = 20  # lines at most among which the header may be
+_OBJ_WORDS = ("v", "vn", "vt", "o", "g", "mtllib")  # a file of vertices begins with one of these
+_AXIS = {"i": "nx", "j": "ny", "k": "nz"}  # names of the tool axis in milling programs
+# pos_x, Points:0; normal_x, Normals:0: names in exported tables and meshes
 _POINT = re.compile(r"(?:p|pos|position|point|points|tcp)[ _:.-]?([xyz012])")
 _DIRECTION = re.compile(r"(?:n|norm|normal|normals)[ _:.-]?([xyz012])")
 _NUMBERED = {"0": "x", "1": "y", "2": "z"}
-_ENDS_IN_AXIS = re.compile(r".*[_:.-][xyz012]|[xyz]", re.IGNORECASE)  # of a word that names a column
-_NAMING = 3  # of the needed names that a line of words must hold to be a header that names columns
-_UNREAD = ("cm", "um", "in", "inch", "inches", "ft")  # units that names of columns state, in which no file is read
+_ENDS_IN_AXIS = re.compile(r".*[_:.-][xyz012]|[xyz]", re.IGNORECASE)  # words that name a column
+_NAMING = 3  # of the needed names, at least, that a line must hold to be a header
+_UNREAD = ("cm", "um", "in", "inch", "inches", "ft")  # units in column names in which files are not read
 _UNIT = re.compile(rf"\s*[\[(]\s*(mm|m|{'|'.join(_UNREAD)})\s*[\])]")
-# what numpy and zipfile raise at files that are cut off, damaged, encrypted, or lie about their size
+# raised by numpy and zipfile for files that are truncated, damaged, encrypted, or misstate their size
 _UNREADABLE = (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, RuntimeError, MemoryError, OverflowError)
 _NAME = re.compile(rf"(.+)_(mm|m|{'|'.join(_UNREAD)})")
 
-FARTHEST = 1e5  # mm: a hall of 100 m
-SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
-_STRAIGHT_ON = np.radians(30.0)  # between it and those beside it, up to which it may be one of the path all the same
-SAME_POINT = 0.02  # of the median step: points nearer than this to the one before are the same point again
-SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
-_LOOKED = 1000  # lines by which it is told whether they hold something else than waypoints
-_CONTRADICTS = np.radians(5.0)  # what normals at one place differ by, at least, where that is said
-_NAMED_LINES = 5  # lines that a note names
-_AROUND = 3  # waypoints to either side that say which way a normal points,
-_FEWEST = 3  # so many at least, or else it may be these that are wrong,
-_AGREE = 0.3  # if the sum of their normals is at least this long, for each of them,
-_OPPOSITE = 0.7  # and the cosine of its angle to that is less than the negative of this
+FARTHEST = 1e5  # mm: a 100 m hall
+SPLIT = 3.0  # median steps: a longer step is travel to the next bead
+_STRAIGHT_ON = np.radians(30.0)  # greatest angle to its neighbours at which a long step may still belong to the path
+SAME_POINT = 0.02  # × the median step: a point closer than this to the one before repeats it
+SAME_PLACE = 1e-7  # m: so does a point closer than this, whatever the steps; files are rounded to it
+_LOOKED = 1000  # lines that are checked for something other than waypoints
+_CONTRADICTS = np.radians(5.0)  # least difference between normals at one place that is reported
+_NAMED_LINES = 5  # most lines that a note lists
+_AROUND = 3  # waypoints to either side that decide which way a normal points:
+_FEWEST = 3  # at least this many, since with fewer these may be wrong themselves;
+_AGREE = 0.3  # they agree if the sum of their normals is at least this long per normal;
+_OPPOSITE = 0.7  # the normal is opposite if the cosine of its angle to that sum is below minus this
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
-MOST_LAYERS = 1e6  # and numbers of beads
-_SHORTEST = 1e-6  # of the longest normal, or of 1 if that is longer: below, what is no direction is left of rounding
-_TINIEST = 1e-150  # whose square is a number yet
+MOST_LAYERS = 1e6  # greatest number of a layer or bead
+_SHORTEST = 1e-6  # × the longest normal's length, or × 1 if that is less: shorter ones are rounding, not directions
+_TINIEST = 1e-150  # least length of a normal: its square is still a number above 0
 _FEWER = "thin them out, or print the part in several files"
 _SIZED, _COUNTED = ("width", "height"), ("layer", "bead")
 TO_SI = {"mm": 1e-3, "m": 1.0}
@@ -72,10 +72,10 @@ TO_SI = {"mm": 1e-3, "m": 1.0}
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns (n) of numbers by name, as they stand in the file; all of NEEDED, some of OPTIONAL; n is at least 1.
+    """Columns (n) of numbers by name, as in the file; all of NEEDED, some of OPTIONAL; n is at least 1.
 
-    lines (n): where in the file they stand, from 1: of an NPZ file, their places in the arrays.
-    unused: names of columns that mean nothing here; remark: what else is to be said of them.
+    lines (n): their lines in the file, from 1; for an NPZ file, their places in the arrays.
+    unused: names of columns that mean nothing here; remark: a further note on the columns.
     """
 
     values: dict[str, Array]
@@ -86,7 +86,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the columns stand in a line, by name; what separates them (None: blanks or commas); how many there are."""
+    """Positions of the columns in a line, by name; their separator (None: blanks or commas); their number."""
 
     places: dict[str, int]
     separator: str | None
@@ -104,12 +104,12 @@ _PLAIN = _Layout({name: i for i, name in enumerate(NEEDED)}, None, len(NEEDED))
 
 
 def read_columns(path: Path, unit: str, complain: Complaint) -> Columns:
-    """Read a file's columns; lengths in it should be in `unit`, mm or m: a header that says another one is refused.
+    """Read a file's columns; lengths in it should be in `unit`, mm or m: a header that states another one is refused.
 
-    Text: comments (#, //, %, ;) and empty lines are passed over. A header names the columns, in a line of words or in
-    the comment above the first waypoint; without one they are x y z nx ny nz, and what follows is passed over.
-    NPZ: one array for each column. `complain(reason, hint=...)` makes the InputError for what is wrong with the file
-    as a whole. Raises InputError with file and line for a line that holds no such numbers.
+    Text: comments (#, //, %, ;) and empty lines are skipped. A header names the columns, in a line of words or in the
+    comment above the first waypoint; without one they are x y z nx ny nz, and further columns are ignored.
+    NPZ: one array for each column. `complain(reason, hint=...)` makes the InputError for a fault of the file as a
+    whole. Raises InputError with file and line for a line without such numbers.
     """
     data = read_bytes(path, LARGEST_FILE, complain)
     if path.suffix.lower() == ".npz" or data.startswith(b"PK\x03\x04"):
@@ -118,7 +118,7 @@ def read_columns(path: Path, unit: str, complain: Complaint) -> Columns:
 
 
 def number(word: str) -> float | None:
-    """The number that a word is, infinite or not; None for none."""
+    """The number that a word spells, finite or not; None if it is not a number."""
     try:
         return float(word) if "_" not in word else None
     except ValueError:
@@ -127,7 +127,7 @@ def number(word: str) -> float | None:
 
 # Names
 def _named(names: Sequence[str], unit: str, wrong: Complaint) -> tuple[dict[str, int], tuple[str, ...]]:
-    """Where the columns of these names stand, and the names that are not used."""
+    """Positions of the named columns, and the names that are not used."""
     places: dict[str, int] = {}
     unused: list[str] = []
     for i, (word, (name, stated)) in enumerate(zip(names, _names(names), strict=True)):
@@ -140,7 +140,7 @@ def _named(names: Sequence[str], unit: str, wrong: Complaint) -> tuple[dict[str,
             unused.append(word)
             continue
         if name in places:
-            raise wrong(f"column {name} is there twice")
+            raise wrong(f"column {name} occurs twice")
         if stated in _UNREAD and name in LENGTHS:
             raise wrong(f"column {name} is in {stated}", hint="lengths are read in mm or m, see layers.source.unit")
         if stated is not None and name in LENGTHS and stated != unit:
@@ -158,9 +158,9 @@ def _known() -> str:
 
 
 def _names(words: Sequence[str]) -> list[tuple[str, str | None]]:
-    """The names of columns, and their units where they say one.
+    """The names of columns, and their units if stated.
 
-    x, y, z, i, j, k are points and normals, too; so are pos_x and normal_x, where no column is called x or nx.
+    x, y, z, i, j, k also mean points and normals; so do pos_x and normal_x, if no column is called x or nx.
     """
     found = [_name(word) for word in words]
     names = {name for name, _ in found}
@@ -175,13 +175,13 @@ def _names(words: Sequence[str]) -> list[tuple[str, str | None]]:
 
 
 def _plainly(name: str, pattern: re.Pattern[str], before: str) -> str:
-    """x, y or z, with what stands before it, for a longer name of the same; any other name as it is."""
+    """x, y or z after the prefix `before`, for a longer name of the same; any other name unchanged."""
     match = pattern.fullmatch(name)
     return name if match is None else before + _NUMBERED.get(match[1], match[1])
 
 
 def _name(word: str) -> tuple[str, str | None]:
-    """The name of a column, and its unit where it says one: x_mm, X [mm]."""
+    """The name of a column, and its unit if stated: x_mm, X [mm]."""
     plain = _UNIT.sub(r"_\1", word.strip().strip("\"'").lower())
     match = _NAME.fullmatch(plain)
     return (plain, None) if match is None else (match[1], match[2])
@@ -218,19 +218,19 @@ def _text(path: Path, unit: str, complain: Complaint) -> Columns:
 
 
 def _semicolons(lines: Sequence[str]) -> bool:
-    """Whether semicolons separate values, as spreadsheets write them where the comma is decimal."""
+    """Whether semicolons separate values, as in spreadsheets with decimal commas."""
     content = (line for line in lines if line.strip() and line.lstrip()[0] not in COMMENTS)
     return any(line.count(";") >= len(NEEDED) - 1 for line in islice(content, _TITLES + 1))
 
 
 def _first_word(lines: Sequence[str]) -> str:
-    """The first word that is no comment; none in an empty file."""
+    """The first word outside comments; empty if there is none."""
     content = (line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS))
     return next(content, "").partition(" ")[0]
 
 
 def _vertices(path: Path, lines: Sequence[str], complain: Complaint) -> Columns:
-    """Waypoints as an OBJ file has them: all points in lines `v x y z`, and as many normals in lines `vn nx ny nz`."""
+    """Waypoints from an OBJ file: all points in lines `v x y z`, and as many normals in lines `vn nx ny nz`."""
     rows: dict[str, list[int]] = {"v": [], "vn": []}
     others: set[str] = set()
     for i, line in enumerate(lines, 1):
@@ -249,7 +249,7 @@ def _vertices(path: Path, lines: Sequence[str], complain: Complaint) -> Columns:
 
 
 def _numbered(path: Path, lines: Sequence[str], numbers: Sequence[int]) -> Array:
-    """The three numbers behind the first word of lines (n) → (n, 3); InputError for the first line without them."""
+    """The three numbers after the first word of lines (n) → (n, 3); InputError for the first line without them."""
     try:
         return np.array([line.split()[1:4] for line in (lines[i - 1] for i in numbers)], dtype=float).reshape(-1, 3)
     except ValueError:
@@ -258,11 +258,11 @@ def _numbered(path: Path, lines: Sequence[str], numbers: Sequence[int]) -> Array
             for i in numbers
             if [number(word) for word in lines[i - 1].split()[1:4]].count(None) or len(lines[i - 1].split()) < 4
         )
-        raise InputError("is no point or normal of three numbers", file=path, line=wrong) from None
+        raise InputError("is not a point or normal of three numbers", file=path, line=wrong) from None
 
 
 def _layout(path: Path, lines: list[str], unit: str) -> tuple[_Layout, list[int]]:
-    """How the columns stand, and the numbers from 1 of the lines that hold a waypoint, or should."""
+    """The layout of the columns, and the numbers from 1 of the lines that hold a waypoint, or should."""
     full = [i for i, line in enumerate(lines, 1) if line.strip()]
     content = [i for i in full if not lines[i - 1].lstrip().startswith(COMMENTS)]
     if not content:
@@ -289,7 +289,7 @@ def _layout(path: Path, lines: list[str], unit: str) -> tuple[_Layout, list[int]
 
 
 def _header(lines: Sequence[str], content: Sequence[int]) -> int | None:
-    """The number of the line that names columns, below titles, if there is one."""
+    """The number of the header line, below any titles, if there is one."""
     above = None
     for i in content:
         numbers = _numbers_in(lines[i - 1])
@@ -302,7 +302,7 @@ def _header(lines: Sequence[str], content: Sequence[int]) -> int | None:
 
 
 def _names_columns(line: str, count: int) -> bool:
-    """Whether a line of words names so many columns, whatever it calls them: a title has no five commas."""
+    """Whether a line of words names `count` columns, by whatever names: a title does not have five commas."""
     words = _words(line)
     return len(words) == count and ("," in line or sum(map(bool, map(_ENDS_IN_AXIS.fullmatch, words))) >= _NAMING)
 
@@ -313,7 +313,7 @@ def _numbers_in(line: str) -> int:
 
 
 def _with_unit(name: str, units: str, column: int) -> str:
-    """The name of a column with the unit that stands below it, in a line of units."""
+    """The name of a column with its unit from a line of units below."""
     below = _words(units)
     unit = below[column].strip("[]() ").lower() if column < len(below) else ""
     return f"{name}_{unit}" if unit in (*TO_SI, *_UNREAD) and _name(name)[1] is None else name
@@ -357,7 +357,7 @@ def _arrays(path: Path, data: bytes, unit: str, complain: Complaint) -> Columns:
             values = {name: _numbers(arrays[arrays.files[i]], name, complain) for name, i in places.items()}
     except _UNREADABLE as error:
         why = str(error).partition("\n")[0] or type(error).__name__
-        raise complain(f"{path.name} is no NPZ file of numbers: {why}", hint=hint) from error
+        raise complain(f"{path.name} is not an NPZ file of numbers: {why}", hint=hint) from error
     sizes = {name: len(column) for name, column in values.items()}
     for name, size in sizes.items():
         if size != sizes["x"]:
@@ -379,9 +379,9 @@ def _numbers(array: NDArray[np.generic], name: str, complain: Complaint) -> Arra
 class Waypoints(ReadOnlyArrays):
     """The waypoints of one bead: points (n, 3) [m] and outward unit normals (n, 3), part frame; n is at least 2.
 
-    lines (n)         where in the file they stand, from 1
-    width, height (n) of the bead [m]; None where the file does not say
-    layer             as the file counts; None where it does not
+    lines (n)         their lines in the file, from 1
+    width, height (n) of the bead [m]; None if the file does not give them
+    layer             as numbered in the file; None if it is not
     """
 
     name: str
@@ -395,8 +395,7 @@ class Waypoints(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class WaypointFile:
-    """The beads of a file in its order, what was left out or changed, in words for the user, and the share of the length that
-    was left out."""
+    """The beads of a file in its order, notes on what was left out or changed, and the share of the length left out."""
 
     beads: tuple[Waypoints, ...]
     notes: tuple[str, ...]
@@ -430,11 +429,11 @@ class _FileRows:
 def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None, width: float = 0.0) -> WaypointFile:
     """Read a file of waypoints (see `read_columns`) and split it, in its order, where a bead ends.
 
-    That is where the columns bead or layer change, and where it jumps; if there is a column bead, only where the
-    jump is longer than a `split_mm` that is given. Points that repeat the one before are left out, and crumbs, if they are
-    few: see `_without_crumbs`; beads are of this width [m] where the file does not say.
-    `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
-    Raises InputError with file and line, or the index in the arrays, for what is no waypoint.
+    A bead ends where the columns bead or layer change, and at jumps; if there is a column bead, only at jumps longer
+    than a given `split_mm`. Points that repeat the one before are left out, and so are crumbs, if they are few: see
+    `_without_crumbs`; beads have this width [m] if the file does not give one.
+    `where(reason, hint=...)` makes the InputError for a fault of the file as a whole.
+    Raises InputError with file and line, or the index in the arrays, for a row that is not a waypoint.
     """
     given = spec.waypoints
     complain: Complaint
@@ -481,7 +480,7 @@ def columns_of(arrays: WaypointArrays) -> Columns:
 
 
 def _turned_in_place(normals: Array, kept: NDArray[np.bool_]) -> float:
-    """By how much [rad] the normals (n, 3) of waypoints that repeat one before differ from that one's, at most."""
+    """Greatest angle [rad] between the normals (n, 3) of repeated waypoints and those of the kept ones before them."""
     last = np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))
     return float(angles_between(normals[~kept], normals[last[~kept]]).max(initial=0.0))
 
@@ -496,7 +495,7 @@ def _notes(name: str, unused: tuple[str, ...], repeated: int, turned: float) -> 
         )
         yield f"{name}: {repeated} {what} the one before left out{but}"
     if unused:
-        yield f"{name}: columns that are not used: {', '.join(each[:40] for each in unused[:8])}"
+        yield f"{name}: unused columns: {', '.join(each[:40] for each in unused[:8])}"
 
 
 def _rows(columns: Columns, spec: WaypointsSpec) -> _FileRows:
@@ -512,21 +511,23 @@ def _rows(columns: Columns, spec: WaypointsSpec) -> _FileRows:
 
 
 def _upright(vectors: Array, up: str) -> Array:
-    """Vectors (n, 3) in axes of which z is the file's axis that points up."""
+    """Vectors (n, 3) in axes whose z is the file's upward axis."""
     x, y, z = vectors.T
     return np.column_stack({"x": (y, z, x), "y": (x, -z, y), "z": (x, y, z)}[up])
 
 
 def have_length(normals: Array) -> NDArray[np.bool_]:
-    """Which normals (n, 3) are directions, not zero or next to nothing beside the longest: those that are products of small
-    steps in metres are short, all of them."""
+    """Which normals (n, 3) are directions, neither zero nor negligible next to the longest.
+
+    All may be short: products of small steps in metres are.
+    """
     size = np.abs(normals).max(axis=1)
     longest = float(size.max(initial=0.0, where=np.isfinite(size)))
     return np.asarray(size > max(_SHORTEST * min(1.0, longest), _TINIEST))
 
 
 def _check(columns: Columns, spec: WaypointsSpec) -> None:
-    """Raise InputError for the first row whose numbers are no waypoint's."""
+    """Raise InputError for the first row whose numbers are not a waypoint."""
     unit = spec.unit
     values, scale = columns.values, TO_SI[unit]
     table = np.column_stack(list(values.values()))
@@ -566,7 +567,7 @@ def _check(columns: Columns, spec: WaypointsSpec) -> None:
 
 
 def _changes(rows: _FileRows) -> Ints:
-    """Where a column says that another bead begins: first rows of all but the first, and how many rows there are."""
+    """Rows at which a column starts another bead, followed by the number of rows."""
     changed = np.zeros(len(rows.points) - 1, dtype=bool)
     for column in (rows.layer, rows.bead):
         if column is not None:
@@ -580,7 +581,7 @@ def _parts(ends: Ints) -> Iterator[slice]:
 
 
 def _greatest_step(rows: _FileRows, spec: WaypointsSpec) -> float:
-    """The longest step [m] that is no way to the next bead."""
+    """The longest step [m] that is not travel to the next bead."""
     if spec.split is not None:
         return spec.split
     step = np.linalg.norm(np.diff(rows.points, axis=0), axis=1)
@@ -596,9 +597,11 @@ def _split(rows: _FileRows, split: float) -> list[_FileRows]:
 
 
 def _straight_on(parts: Mapping[int, _FileRows], split: float, spec: WaypointsSpec) -> Iterator[str]:
-    """What to say where nothing is laid because waypoints are farther apart than `split` [m], though one path leads straight on
-    to the next: in a file whose points are dense in bends alone that may be most of what is drawn. Nothing where the file or the
-    problem says where paths end, or where it is less than may be left out."""
+    """A note on gaps left because waypoints are more than `split` [m] apart though one path leads straight to the next.
+
+    In a file with dense points only in bends, that may be most of the drawing. No note if file or problem say where
+    paths end, or if the gaps are shorter than may be left out.
+    """
     count, length = 0, 0.0
     for i, b in parts.items():
         a = parts.get(i - 1)
@@ -619,10 +622,10 @@ def _straight_on(parts: Mapping[int, _FileRows], split: float, spec: WaypointsSp
 
 
 def _check_alone(part: _FileRows, split: float, spec: WaypointsSpec) -> None:
-    """Raise InputError for a waypoint that is all of its bead."""
+    """Raise InputError for a bead of a single waypoint."""
     if len(part.points) > 1:
         return
-    reason, hint = "this waypoint is all of its bead", "a bead has two at least"
+    reason, hint = "this waypoint is the only one of its bead", "a bead needs at least two"
     if part.bead is None and part.layer is None:
         reason = f"this waypoint stands alone, more than {split * 1e3:g} mm from those beside it"
         hint = "leave it out, or choose a greater layers.source.split_mm or leave_out_share"
@@ -632,12 +635,12 @@ def _check_alone(part: _FileRows, split: float, spec: WaypointsSpec) -> None:
 def _without_crumbs(
     parts: Sequence[_FileRows], spec: WaypointsSpec, width: float
 ) -> tuple[dict[int, _FileRows], str, float]:
-    """Parts of a file by their number from 1 on, without crumbs, what was changed in words, and the share that is left out.
+    """Parts of a file by their number from 1 on, without crumbs; a note on changes; and the share that is left out.
 
-    Crumbs are waypoints that stand alone and paths shorter than their bead is wide (`width` [m] where the file does not
-    say): they are left out. A normal that points the other way than those around it is turned round. If all that makes up
-    more than a share of the length, nothing is changed: the file may mean something else. A single such normal loses
-    nothing, and is turned round however short the file is, unless the share is zero.
+    Crumbs are isolated waypoints, and paths shorter than their bead is wide (`width` [m] if the file does not give it):
+    they are left out. A normal opposite to those around it is reversed. If all this makes up more than a share of the
+    length, nothing is changed: the file may mean something else. A single such normal loses nothing, and is reversed
+    however short the file is, unless the share is zero.
     """
     share = spec.crumbs
     everything = dict(enumerate(parts, 1))
@@ -678,7 +681,7 @@ def _without_crumbs(
 
 
 def _other_way(normals: Array) -> NDArray[np.bool_]:
-    """Which normals (n, 3) point the other way than those around them, where these agree."""
+    """Which normals (n, 3) are opposite to those around them, where these agree."""
     n = len(normals)
     ends = np.concatenate([np.zeros((1, 3)), np.cumsum(normals, axis=0)])
     first, last = np.maximum(np.arange(n) - _AROUND, 0), np.minimum(np.arange(n) + _AROUND + 1, n)
@@ -689,9 +692,9 @@ def _other_way(normals: Array) -> NDArray[np.bool_]:
 
 
 def distinct(points: Array) -> NDArray[np.bool_]:
-    """Which points (n) are no repetition of the last one kept before them."""
+    """Which points (n) do not repeat the last one kept before them."""
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    moving = step[step > SAME_PLACE]  # points that creep say nothing of how densely the path is written
+    moving = step[step > SAME_PLACE]  # creeping points say nothing about the density of the path
     same = max(SAME_POINT * float(np.median(moving)), SAME_PLACE) if len(moving) else SAME_PLACE
     keep = np.concatenate([[True], step > same])
     before, last = 0, -1

@@ -1,8 +1,8 @@
-"""Beads that lie on no surface: struts and columns in space, known by the nozzle's tip and axis along them.
+"""Beads that lie on no surface: struts and columns in space, known only by the nozzle's tip and axis along them.
 
-What is laid hangs from the nozzle: a round bead whose middle is half its diameter before the tip, along the nozzle's axis,
-whatever way the tip takes. A column along the axis is then a capsule that ends at the tip, and the nozzle that draws back
-from it touches it there alone. Nothing is known of what stands beneath, so nothing is claimed.
+The bead hangs from the nozzle: it is round, and its middle is half its diameter before the tip along the tool axis,
+whatever the tip's path. A column along the axis is then a capsule that ends at the tip, and a nozzle that draws back
+from it touches it only there. Nothing is known about anything beneath, so nothing is claimed.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from planner.toolpath.bead import Bead
 from planner.toolpath.waypoints.nearest import PrintedPoints, nearest_printed, printed_points
 from planner.toolpath.waypoints.surfels import Samples, tips_tree
 
-# Struts fuse where they meet, and the later one begins or ends within the earlier one: its tip may come into the outer
-# half of that. The inner half is its core, where no tip has to be.
+# Struts fuse where they meet, and the later one begins or ends within the earlier one: its tip may enter the outer half
+# of that. The inner half is the core, which no tip needs to enter.
 CORE = 0.5
 _APART = 0.125  # diameters between points along a strut's middle
 
@@ -27,11 +27,11 @@ _APART = 0.125  # diameters between points along a strut's middle
 class Struts(Samples):
     """The cores of struts, in print order; lengths in metres, part frame.
 
-    tips, outward (n, 3)  the samples of all beads, and unit vectors against the nozzle's axis
+    tips, outward (n, 3)  the samples of all beads, and unit vectors against the tool axis
     along (n)             arc length of the samples in their bead
     first (beads + 1)     index of each bead's first sample
     middles (m, 3)        points along the middles of the struts; radius (m) of their cores there
-    printed               how many beads are there
+    printed               how many beads are already there
     tree, tip_tree        search trees of the middles, and of all tips
     """
 
@@ -46,11 +46,11 @@ class Struts(Samples):
     tip_tree: PrintedPoints
 
     def before(self, bead: int) -> Struts:
-        """What is there when the first `bead` beads have been printed."""
+        """The struts after the first `bead` beads."""
         return replace(self, printed=bead)
 
     def signed_distance(self, points: Array) -> Array:
-        """Distance (n,) of points (n, 3) from the cores that are there, FAR at most; negative inside."""
+        """Distance (n,) of points (n, 3) from the printed cores, FAR at most; negative inside."""
         distance, nearest = nearest_printed(self.tree, self.printed, points)
         return distance - np.where(nearest < 0, 0.0, self.radius[nearest])
 

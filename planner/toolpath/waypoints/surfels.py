@@ -1,7 +1,7 @@
-"""The surface of a part that is known by its waypoints alone: a disc under each, one bead's height below.
+"""The surface of a part known only by its waypoints: a disc under each, one bead's height below.
 
-Nothing else is known of the part, so nothing else is claimed: the discs are what the first layer lies on and what has
-been printed, with a shell of solid beneath each. Whoever passes through the part passes through a shell.
+Nothing else is known of the part, so nothing else is claimed: the discs are the ground of the first layer and the
+printed beads, with a solid shell beneath each. Any path through the part passes through a shell.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from planner.base.compiled import njit
 from planner.toolpath.bead import Bead
 from planner.toolpath.waypoints.nearest import ALWAYS, FAR, PrintedPoints, nearest_printed, printed_points
 
-SHELL = 10e-3  # m of solid beneath a disc
-_OTHER_HEIGHT = (0.5, 1.5)  # of a bead's height: it is not printed on what lies nearer or farther beneath it
-_NEIGHBOURS = 8  # that are looked at to see what lies beneath a waypoint
+SHELL = 10e-3  # m of solid material beneath a disc
+_OTHER_HEIGHT = (0.5, 1.5)  # × a bead's height: it does not count as printed on places closer or farther beneath it
+_NEIGHBOURS = 8  # nearest places that are examined for one beneath a waypoint
 _STENCIL = 6  # samples through which normals are interpolated
-_ABOVE = 0.9  # of the distance, along the normal: a place of another layer
-_STEPS = 3  # of Newton's method for the nearest place on a bead
-# How far apart layers lie is looked at
-_LOOKED = 300  # samples, at most;
-_BENEATH = (0.1, 3.0)  # widths of a bead beneath them: nearer is their own layer
-_CLEARLY = 0.2  # widths of a bead at least lie between layers: less may be a layer's own slope
-_ASIDE = 0.5  # widths of a bead from straight beneath
-_SHARE = 0.3  # of the samples at least have something beneath them: all but the first of two layers,
-_LIKE, _MOST_UNLIKE = 0.25, 0.3  # as far as usual but for so much of that, and for so many of them
+_ABOVE = 0.9  # share of the distance along the normal, above which the place belongs to another layer
+_STEPS = 3  # Newton steps to the nearest place on a bead
+# Measuring how far apart layers lie
+_LOOKED = 300  # samples, at most
+_BENEATH = (0.1, 3.0)  # bead widths beneath them: closer places are in their own layer
+_CLEARLY = 0.2  # least bead widths between layers: less may be a layer's own slope
+_ASIDE = 0.5  # bead widths from straight beneath
+_SHARE = 0.3  # of the samples, at least, must have a place beneath them: half do in two layers
+_LIKE, _MOST_UNLIKE = 0.25, 0.3  # share by which distances may differ from the usual one; share that may exceed it
 
 
 class Samples:
-    """The samples of all beads, as `Surfels` and `Struts` have them: see there."""
+    """The samples of all beads; for the fields see `Surfels` and `Struts`."""
 
     tips: Array
     outward: Array
@@ -49,9 +49,9 @@ class Samples:
         return _normals(read_only(points), self.tips, self.outward, start, (k - start).astype(float))
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Outward unit vectors (n, 3) of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m].
+        """Outward unit vectors (n, 3) of a bead at its places nearest to tips (n, 3), near arc lengths s (n) [m].
 
-        However close other passes lie, or other parts of the bead, they say nothing here.
+        Other passes and other parts of the bead have no influence, however close they lie.
         """
         first, last = self.first[bead], self.first[bead + 1]
         along = self.along[first:last]
@@ -69,9 +69,9 @@ class Surfels(Samples):
     centres (n, 3)         of the discs: one bead's height below the tips
     radius                 of the discs: neighbours touch
     first (beads + 1)      index of each bead's first sample
-    printed                how many beads are there
-    tree, tip_tree         search trees of the centres, where a disc beneath which nothing is printed is there from the
-                           beginning; and of all tips
+    printed                how many beads are already there
+    tree, tip_tree         search trees of the centres, where a disc with nothing printed beneath it is there from the
+                           start; and of all tips
     """
 
     tips: Array
@@ -85,18 +85,20 @@ class Surfels(Samples):
     tip_tree: PrintedPoints
 
     def before(self, bead: int) -> Surfels:
-        """The surface when the first `bead` beads have been printed."""
+        """The surface after the first `bead` beads."""
         return replace(self, printed=bead)
 
     def signed_distance(self, points: Array) -> Array:
-        """Distance (n,) of points (n, 3) from what is there, FAR at most; negative inside a shell."""
+        """Distance (n,) of points (n, 3) from the discs that are there, FAR at most; negative inside a shell."""
         points = read_only(points)
         _, nearest = nearest_printed(self.tree, self.printed, points)
         return _from_discs(points, nearest, self.centres, self.outward, self.radius)
 
     def nearest_layer(self, point: Array) -> float:
-        """Distance [m] of a point (3) from the nearest sample that lies above or below it, along its own normal; infinite where
-        none does within FAR."""
+        """Distance [m] of a point (3) from the nearest sample above or below it, along that sample's normal.
+
+        Infinite if there is none within FAR.
+        """
         near = np.flatnonzero(((self.tips - point) ** 2).sum(axis=1) <= FAR**2)
         way = point - self.tips[near]
         away = np.linalg.norm(way, axis=1)
@@ -106,7 +108,7 @@ class Surfels(Samples):
 
 @njit
 def _from_discs(points: Array, nearest: Ints, centres: Array, outward: Array, radius: float) -> Array:
-    """Distance (n) of points (n, 3) from the discs of index nearest (n), FAR where that is -1; negative inside a shell."""
+    """Distance (n) of points (n, 3) from the discs `nearest` (n), FAR where that is -1; negative inside a shell."""
     out = np.empty(len(points))
     for i in range(len(points)):
         k = nearest[i]
@@ -128,7 +130,7 @@ def _from_discs(points: Array, nearest: Ints, centres: Array, outward: Array, ra
 def _normals(points: Array, tips: Array, outward: Array, start: Ints, near: Array) -> Array:
     """Unit normals (n, 3) where the polynomials through six samples from `start` come nearest to points (n, 3).
 
-    near (n): about where in the six that is.
+    near (n): roughly where among the six that is.
     """
     out = np.empty_like(points)
     value, slope = np.empty(_STENCIL), np.empty(_STENCIL)
@@ -164,7 +166,7 @@ def _normals(points: Array, tips: Array, outward: Array, start: Ints, near: Arra
 
 
 def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
-    """Say in which layer each bead lies, and return the surface of all of them.
+    """Assign each bead to its layer, and return the surface of all of them.
 
     A bead lies on a layer if an earlier one is beneath most of its length, one bead's height below.
     """
@@ -198,15 +200,17 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
 
 
 def tips_tree(tips: Array) -> PrintedPoints:
-    """A search tree of tips (n, 3), all of which are there from the beginning."""
+    """A search tree of tips (n, 3), all of which are there from the start."""
     return printed_points(tips, np.full(len(tips), ALWAYS))
 
 
 def _dense(tips: Array, normals: Array, first: Ints, apart: float) -> tuple[Array, Array, Ints]:
-    """Samples and places between them, where they stand farther apart than that [m], as on straight lines: tips and normals
-    (m, 3), and the sample (m) with which each place is laid."""
+    """Samples, and places between those more than `apart` [m] from each other, as on straight lines.
+
+    Returns tips and normals (m, 3), and the sample (m) with which each place is laid.
+    """
     step = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-    step[first[1:-1] - 1] = 0.0  # from one bead to the next nothing is laid
+    step[first[1:-1] - 1] = 0.0  # nothing is laid between beads
     count = np.append(1, np.maximum(np.ceil(step / apart), 1.0).astype(np.int64))
     sample = np.repeat(np.arange(len(tips)), count)
     back = (np.cumsum(count)[sample] - 1 - np.arange(len(sample))) / count[sample]
@@ -220,7 +224,7 @@ def _beneath(
 ) -> Ints:
     """For each sample (n) an earlier one that is laid about one bead's height beneath it, or -1; laid: see `_dense`.
 
-    How far two places are apart in height is measured along the mean of their normals: 0 on any sphere.
+    The difference in height of two places is measured along the mean of their normals: 0 on any sphere.
     """
     n, (low, high) = len(tips), _OTHER_HEIGHT
     places, leaning, sample = laid
@@ -240,15 +244,17 @@ def _beneath(
 
 
 def other_height(beads: Sequence[Bead], height: float) -> float | None:
-    """How far apart layers usually lie [m], if beads of that height [m] do not take them for printed on each other; None where
-    they do, and where layers do not lie apart alike."""
+    """The usual distance of layers [m], if beads of this height [m] then do not count as printed on each other.
+
+    None if they do, and if the distances of layers vary.
+    """
     apart = _layers_apart(beads)
     low, high = _OTHER_HEIGHT
     return apart if apart is not None and not low * height < apart < high * height else None
 
 
 def _layers_apart(beads: Sequence[Bead]) -> float | None:
-    """The usual distance [m], along their normals, of samples from the nearest earlier place that lies beneath them."""
+    """The usual distance [m], along their normals, of samples from the nearest earlier place beneath them."""
     tips, normals = (np.vstack([getattr(bead, name) for bead in beads]) for name in ("points", "normals"))
     first = np.concatenate([[0], np.cumsum([len(bead.points) for bead in beads])])
     width = max(float(bead.width.max()) for bead in beads)

@@ -1,4 +1,4 @@
-"""Scan lines across or along a sheet of a wing: zig-zag beads drawn on the sheet rolled out, laid on the true one."""
+"""Scan lines across or along a sheet of a wing: zig-zag beads drawn on the unrolled sheet, laid on the true one."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from planner.toolpath.wing.section import SHORTEST
 from planner.toolpath.wing.sheets import WingSheet
 from planner.toolpath.wing.strips import APART, PER_RUN, STEP, TURN, Filling, rolled_bead
 
-Segment = tuple[int, float, float]  # a row, and where on it a pass begins and ends
-_SHORTEST_PASS = 2.0  # bead widths: of a shorter one both turns would share a corner
-_INSET = 0.49  # of a bead, by which a pass along the wing stays inside: the outermost ones would at 0.5 come and go
-_LOOKS = (15, 9)  # places across and along a sheet where its stretch is measured
-_DIFFERENCE = 1e-5  # m, over which
+Segment = tuple[int, float, float]  # a row, and the two ends of a pass on it
+_SHORTEST_PASS = 2.0  # bead widths: in a shorter one both turns would share a corner
+_INSET = 0.49  # bead widths that passes along the wing stay inside: 0.5 would leave the outermost ones to chance
+_LOOKS = (15, 9)  # places across and along a sheet at which its stretch is measured
+_DIFFERENCE = 1e-5  # m: step of finite differences for the stretch
 
 
 @dataclass(frozen=True)
 class PassSpacing:
-    """How rolling a sheet out changes distances, as true lengths per rolled-out length.
+    """How unrolling a sheet changes distances, as true length per unrolled length.
 
     mean, least, greatest  between passes
     any                    greatest in any direction
@@ -37,7 +37,7 @@ class PassSpacing:
 
 
 def stretch_of(sheet: WingSheet, across: bool) -> PassSpacing:
-    """What rolling a sheet out does to the distances of its passes, which run across the wing or along it."""
+    """How unrolling a sheet changes the distances between its passes, which run across the wing or along it."""
     there = np.flatnonzero(~np.isnan(sheet.area.edges[:, 0]).any(axis=1))
     rows = np.unique(np.linspace(there[0], there[-1], _LOOKS[1]).astype(int))
     rows = rows[np.isin(rows, there)]
@@ -58,7 +58,7 @@ def stretch_of(sheet: WingSheet, across: bool) -> PassSpacing:
 
 
 def on_sheet(sheet: WingSheet, plane: Array) -> tuple[Array, Array]:
-    """Points and outward unit normals (n, 3) of places (n, 2) on a sheet rolled out."""
+    """Points and outward unit normals (n, 3) of places (n, 2) on an unrolled sheet."""
     return sheet.tips(sheet.rolled(plane[:, 0], plane[:, 1]), plane[:, 1])
 
 
@@ -90,7 +90,7 @@ def fill_sheet(
 
 
 def _across(sheet: WingSheet, filling: Filling, stretch: PassSpacing) -> tuple[list[list[Array]], float]:
-    """Chains of passes at even distances along the span, each pass its two ends (2, 2); and the width of a bead."""
+    """Chains of passes at even distances along the span, each pass as its two ends (2, 2); and the width of a bead."""
     area, half = sheet.area, 0.5 * filling.width
     low, high = float(area.y[0]), float(area.y[-1])
     pitch = filling.width * filling.spacing / stretch.mean
@@ -136,7 +136,7 @@ def _along(sheet: WingSheet, filling: Filling, stretch: PassSpacing) -> tuple[li
 
 
 def _where(room: Array, y: Array) -> list[tuple[float, float]]:
-    """Intervals of y where room (n), straight between its places y (n), is not negative; NaN counts as none."""
+    """Intervals of y where room (n), linear between its places y (n), is not negative; NaN counts as no room."""
     ok = np.nan_to_num(room, nan=-np.inf) >= 0.0
     found = []
     for start, behind in true_runs(ok):
@@ -150,7 +150,7 @@ def _where(room: Array, y: Array) -> list[tuple[float, float]]:
 
 
 def linked(rows: Sequence[Sequence[tuple[float, float]]]) -> list[list[Segment]]:
-    """Intervals on successive rows as chains: each goes on to the next row where one interval faces just one other."""
+    """Intervals on successive rows as chains: they continue to the next row if two intervals face only each other."""
     chains: list[list[Segment]] = []
     open_chains: dict[int, list[Segment]] = {}  # by the interval on the row before
     before: Sequence[tuple[float, float]] = ()
@@ -178,7 +178,7 @@ def _length(chain: list[Array]) -> float:
 
 
 def _ways(chain: list[Array]) -> list[Array]:
-    """The four zig-zag lines (n, 2) along a chain's passes: from either end of its first or its last pass on."""
+    """The four zig-zag lines (n, 2) along a chain's passes: from either end of its first or its last pass."""
     found = []
     for passes, turned in itertools.product((chain, chain[::-1]), (0, 1)):
         ends = [ends if (k + turned) % 2 == 0 else ends[::-1] for k, ends in enumerate(passes)]
@@ -204,7 +204,7 @@ def _bead(
 
 
 def _dense(way: Array, step: float) -> Array:
-    """A polyline's corners (n, 2), and between them as many points as keep steps at most `step` long."""
+    """A polyline's corners (n, 2), and enough points between them to keep steps at most `step` long."""
     size = np.linalg.norm(np.diff(way, axis=0), axis=1)
     pieces = [
         a + np.linspace(0.0, 1.0, max(int(np.ceil(d / step)), 1), endpoint=False)[:, None] * (b - a)

@@ -1,8 +1,8 @@
 """A wing's section: its points, two smooth curves through them, and its place on the part.
 
-Points come from NACA's four-digit formula, or from a file as the UIUC collection has them, in one of two layouts.
-Selig's runs from the trailing edge around the leading edge and back. Lednicer's gives the number of points on each
-side, then the upper and the lower side, both from the leading edge on.
+Points come from NACA's four-digit formula, or from a file in one of the two layouts of the UIUC collection. Selig's
+runs from the trailing edge around the leading edge and back. Lednicer's gives the number of points on each side, then
+the upper and the lower side, both from the leading edge on.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from planner.problem import Problem
 from planner.problem.layers import AerofoilLayersSpec, AerofoilSpec, TipSpec
 
 _DEGREE = 5  # so that the nozzle's angular acceleration has no steps
-_SAMPLES = 2000  # of a side: the start of Newton's method, and of the search for where a parallel ends
+_SAMPLES = 2000  # of a side: start of Newton's method, and of the search for the ends of a parallel
 _NEWTON_STEPS = 3  # from a sample some 40 um away
 _CROSSES = 1e-8  # m by which a parallel may come closer to its own side than its distance
 _HALVINGS = 24  # of a grid cell of some 40 um
-_SWINGS = 0.3  # of a step, by which the curve may leave the chord between two points; on a circle of six, 0.13
+_SWINGS = 0.3  # of a step, by which the curve may leave the chord between two points; 0.13 on a circle of six points
 
 Row = tuple[int, float, float]  # line from 1, x, z
 LARGEST_FILE = 1_000_000  # bytes
 MOST_POINTS = 5000
-FEWEST = 5  # points of a side, the leading edge among them: a curve of degree 5 needs six in all
+FEWEST = 5  # points of a side, including the leading edge: a curve of degree 5 needs six in all
 FARTHEST = 1e6  # in the file's unit
 _COMMENTS = ("#", "//", "%", ";")
 _BOUNDS = 4  # numbers in a line of bounds
 _NACA_POINTS = 80  # of a side
-_UNEVEN_ENDS = 0.02  # chords along the chord: the largest of a whole published section is 0.009
-_SAME = 1e-9  # chords: points nearer than this to each other are one
+_UNEVEN_ENDS = 0.02  # chords along the chord: the largest in a complete published section is 0.009
+_SAME = 1e-9  # chords: points closer than this are one
 
-# Layer heights by which the other side is farther away where a layer ends: in the lower half enough to tell the halves
-# apart; in the upper half so that no bead is squeezed into less than half its height above the steps of the lower one.
+# Where a layer ends, the other side is farther away than its own by so many layer heights: in the lower half enough to
+# keep the halves apart; in the upper half so that no bead has less than half its height above the lower half's steps.
 CLEAR_LOWER, CLEAR_UPPER = 0.1, 0.5
 SHORTEST = 3.0  # bead widths: a shorter piece of a layer is left out
-_PIVOT = 0.25  # of the chord, about which a section is turned
+_PIVOT = 0.25  # of the chord: point about which a section is turned
 
 
 class TooUneven(ValueError):
-    """No smooth curve through points: it would swing out beside this one (counted from 0)."""
+    """No smooth curve goes through the points: it would swing out next to this one (counted from 0)."""
 
     def __init__(self, point: int) -> None:
         self.point = point
@@ -68,7 +68,7 @@ class SectionSide:
         return np.asarray(self.curve(t))
 
     def inward(self, t: Array) -> Array:
-        """Unit normals (n, 2) into the section."""
+        """Unit normals (n, 2) pointing into the section."""
         along = np.asarray(self.curve(t, 1))
         return np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
 
@@ -91,7 +91,7 @@ class SectionSide:
 
     @cached_property
     def grid(self) -> Array:
-        """Parameters all along the side."""
+        """Parameters along the whole side."""
         return np.linspace(self.first, self.last, _SAMPLES)
 
     @cached_property
@@ -108,7 +108,7 @@ class AerofoilSection:
 
 
 def section_through(points: Array, nose: int) -> AerofoilSection:
-    """The section through points (n, 2) [m], from the trailing edge over the upper side, `nose`, the lower side back.
+    """The section through points (n, 2) [m], from the trailing edge over the upper side to `nose` and back below.
 
     One spline in chord length through all of them, so that the leading edge is round. Raises TooUneven.
     """
@@ -127,10 +127,10 @@ def section_through(points: Array, nose: int) -> AerofoilSection:
 def parallels(
     side: SectionSide, other: SectionSide, distance: float, apart: float, tilt: float
 ) -> list[tuple[float, float]]:
-    """Where a curve parallel to `side`, so far inside (or outside, if negative) [m], is worth printing: intervals of t.
+    """Intervals of t where a curve parallel to `side`, `distance` [m] inside (outside if negative), is worth printing.
 
-    It ends where the other side is less than `apart` [m] away, where it would cross itself, and where it is steeper than
-    `tilt` [rad].
+    It ends where the other side is less than `apart` [m] away, where it would cross itself, and where it is steeper
+    than `tilt` [rad].
     """
 
     def room(t: Array) -> Array:
@@ -180,10 +180,10 @@ def read_section(path: Path, where: Complaint | None = None) -> Array:
     They run from the trailing edge over the upper side to the leading edge, (0, 0), and along the lower side back; the
     middle of the trailing edge is (1, 0).
 
-    The file may have any unit and place, and either side first. Words before the first point and after the last one are
-    passed over, and so are comments, blank lines and, before the first point, four numbers (bounds of a flow field, as
-    MSES writes them). `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole. Raises
-    InputError with file and line for a line that is no point, or one of no section.
+    The file may have any unit and position, and either side first. Words before the first point and after the last one
+    are skipped, and so are comments, blank lines and, before the first point, four numbers (bounds of a flow field, as
+    MSES writes them). `where(reason, hint=...)` makes the InputError for a fault of the file as a whole. Raises
+    InputError with file and line for a line that is not a point, or a point that cannot belong to a section.
     """
     complain = partial(InputError, file=path) if where is None else where
     rows = _rows(path, read_lines(path, LARGEST_FILE, complain))
@@ -208,7 +208,7 @@ def read_section(path: Path, where: Complaint | None = None) -> Array:
         ends = points[[0, -1], 0]
         name, side = ("upper", upper) if ends[0] < ends[1] else ("lower", lower)
         raise InputError(
-            f"the {name} side ends here, at {ends.min() / ends.max():.2f} of the length of the other one",
+            f"the {name} side ends here, at {ends.min() / ends.max():.2f} of the length of the other side",
             file=path,
             line=side[-1][0],
             hint="points towards the trailing edge are missing",
@@ -217,11 +217,11 @@ def read_section(path: Path, where: Complaint | None = None) -> Array:
 
 
 def _rows(path: Path, lines: list[str]) -> list[Row]:
-    """All lines that hold two numbers: one run of them, with nothing but words before and behind."""
+    """All lines that hold two numbers: one run of them, with only words before and after."""
     content = [(i, line.split()) for i, line in enumerate(lines, 1) if line.strip()]
     content = [(i, words) for i, words in content if not words[0].startswith(_COMMENTS)]
     rows: list[Row] = []
-    behind: int | None = None  # the first line of words after a point
+    behind: int | None = None  # first line of words after a point
     for place, (number, words) in enumerate(content):
         values = [_number(word) for word in words]
         point = len(words) == 2 and None not in values
@@ -231,7 +231,9 @@ def _rows(path: Path, lines: list[str]) -> list[Row]:
             behind = number if rows else None
             continue
         if behind is not None:
-            raise InputError("is no point, but points follow", file=path, line=behind, hint="words stand at the ends")
+            raise InputError(
+                "is not a point, but points follow", file=path, line=behind, hint="words may only come first or last"
+            )
         wrong = partial(InputError, file=path, line=number)
         if len(words) != 2:
             raise wrong(f"a point has two numbers, x z; here are {len(words)} words")
@@ -244,7 +246,7 @@ def _rows(path: Path, lines: list[str]) -> list[Row]:
 
 
 def _is_text(words: list[str], values: list[float | None]) -> bool:
-    """Whether words are no point. Two words of which one is a number may be a mistyped point."""
+    """Whether words are not a point. Two words, one of them a number, may be a mistyped point."""
     return None in values and (len(words) != 2 or values == [None, None])
 
 
@@ -276,7 +278,7 @@ def _sides(path: Path, rows: list[Row], complain: Complaint) -> tuple[list[Row],
 
 
 def _distinct(rows: list[Row]) -> list[Row]:
-    """Without points that repeat the one before."""
+    """The rows without points that repeat the one before."""
     size = max(row[1] for row in rows) - min(row[1] for row in rows)
     return [
         row for i, row in enumerate(rows) if i == 0 or math.dist(row[1:], rows[i - 1][1:]) > _SAME * max(size, _SAME)
@@ -290,7 +292,7 @@ def _check_forward(path: Path, side: list[Row]) -> None:
 
 
 def _spread(side: list[Row]) -> tuple[Array, Array]:
-    """x from 0 to 1 along a side, and z: what np.interp takes."""
+    """x from 0 to 1 along a side, and z: arguments for np.interp."""
     x, z = np.array([row[1] for row in side]), np.array([row[2] for row in side])
     return (x - x[0]) / (x[-1] - x[0]), z
 
@@ -301,7 +303,7 @@ def _at(side: list[Row]) -> Array:
 
 
 def _in_chords(points: Array, nose: int, complain: Complaint, path: Path) -> Array:
-    """Moved, turned and scaled so that the leading edge is (0, 0) and the middle of the trailing edge (1, 0)."""
+    """Points moved, turned and scaled so that the leading edge is (0, 0) and the middle of the trailing edge (1, 0)."""
     points = points[np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 0.0])]
     nose = int(np.argmin(np.linalg.norm(points - points[min(nose, len(points) - 1)], axis=1)))
     away = points - points[nose]
@@ -314,12 +316,12 @@ def _in_chords(points: Array, nose: int, complain: Complaint, path: Path) -> Arr
 
 
 def root_section(problem: Problem, source: AerofoilSpec) -> AerofoilSection:
-    """The section where the span begins. Raises InputError for one that cannot be read or is no smooth curve."""
+    """The section where the span begins. Raises InputError if it cannot be read or is not a smooth curve."""
     return _section(problem, source, "layers.source", source.chord, source.origin[0], source.origin[2])
 
 
 def tip_section(problem: Problem, source: AerofoilSpec, tip: TipSpec) -> AerofoilSection:
-    """The section where the span ends. Raises InputError as above."""
+    """The section where the span ends. Raises InputError as `root_section` does."""
     named: AerofoilSpec | TipSpec = source if tip.aerofoil is None and tip.naca is None else tip
     field = "layers.source" if named is source else "layers.source.tip"
     x, z = source.origin[0] + tip.sweep, source.origin[2]
@@ -355,7 +357,7 @@ def _section(
 
 
 def check_floor(problem: Problem, spec: AerofoilLayersSpec, floor: float) -> None:
-    """Raise InputError for a wing whose lowest place, at z = `floor` [m], is below the bed."""
+    """Raise InputError for a wing whose lowest point, at z = `floor` [m], is below the bed."""
     if floor < 0.0:
         raise problem.error(
             "layers.source.origin_mm",
@@ -376,7 +378,7 @@ def check_span(problem: Problem, spec: AerofoilLayersSpec) -> None:
 
 
 def too_small(problem: Problem) -> Exception:
-    """The InputError of a wing without a single layer."""
+    """The InputError for a wing without a single layer."""
     return problem.error(
         "layers.height_mm", "the section is too small for a single layer", "choose a smaller height, or tilt_deg"
     )

@@ -1,4 +1,4 @@
-"""The solid that the sheets of a wing add up to while it is printed."""
+"""The solid that the sheets of a wing make up while it is printed."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from planner.toolpath.wing.sheets import WingPlaces, WingSheet
 
 _Piece = tuple[Array, Array, Array]  # places, outward normals and grain (n, 3)
 
-_ACROSS, _ALONG, _DOWN = 4e-4, 1e-3, 2.5e-4  # m between places of a skin: across, along the span, down an edge
-_SURE = 1.5e-3  # m above a face: more than places of a skin are apart, so no other face is as near
-_AHEAD = 1e-4  # m along the span, over which the direction of edges is taken
-_NUDGE = 1e-6  # m that a place of a skin is moved out to see whether something else is there
+_ACROSS, _ALONG, _DOWN = 4e-4, 1e-3, 2.5e-4  # m between places on a skin: across, along the span, down an edge
+_SURE = 1.5e-3  # m above a face: more than the distance of places on a skin, so no other face is as near
+_AHEAD = 1e-4  # m along the span, over which the direction of edges is measured
+_NUDGE = 1e-6  # m by which a place on a skin is moved out to see whether something else is there
 
 
 @dataclass(frozen=True)
 class _Skin:
-    """Places (n, 3) on the faces of sheets that nothing lies on, and their outward unit normals (n, 3).
+    """Places (n, 3) on the bare faces of sheets, and their outward unit normals (n, 3).
 
     grain   (n, 3) unit vectors towards the next places along the span, between which a face and its edges are straight
     """
@@ -33,16 +33,16 @@ class _Skin:
 
 @dataclass(frozen=True)
 class SheetSolid:
-    """The surface that layers lie on: what has been printed, up to the layer that is being printed, on the bed z = 0.
+    """The surface on which layers lie: everything printed before the current layer, on the bed z = 0.
 
-    Between places of its skin that surface is taken as flat, which it is within some micrometres; past an edge it may
-    be judged a fifth of a millimetre nearer than it is.
+    Between places on its skin that surface is treated as flat, which it is within some micrometres; past an edge it may
+    be taken to be a fifth of a millimetre closer than it is.
 
-    sheets, levels   all sheets, and the layer of each in print order, which never falls; -1: there from the start
+    sheets, levels   all sheets, and the layer of each in print order, never decreasing; -1: there from the start
     laid             the sheet that each bead fills
     span             least and greatest y of the solid [m]
     level            the layers before this one are there
-    skins            of the sheets that are there, by level; filled in when it is asked for
+    skins            of the sheets that are there, by level; filled in on request
     """
 
     sheets: tuple[WingSheet, ...]
@@ -53,11 +53,11 @@ class SheetSolid:
     skins: dict[int, _Skin] = field(default_factory=dict, compare=False)
 
     def before(self, bead: int) -> SheetSolid:
-        """The solid when the first `bead` beads have been printed: without the layer of the last of them."""
+        """The solid after the first `bead` beads, without the layer of the last of them."""
         return replace(self, level=self.levels[self.laid[max(bead - 1, 0)]])
 
     def signed_distance(self, points: Array) -> Array:
-        """Distance (n,) of points (n, 3) from what is there; negative inside."""
+        """Distance (n,) of points (n, 3) from sheets and bed; negative inside."""
         bed = points[:, 2]
         skin = self._skin(self.level)
         if len(skin.points) == 0:
@@ -70,7 +70,7 @@ class SheetSolid:
         step = (aside * grain).sum(axis=1)
         along = np.maximum(np.abs(step) - 0.5 * _ALONG / grain[:, 1], 0.0)
         past = np.maximum(np.linalg.norm(aside - step[:, None] * grain, axis=1) - 0.5 * _ACROSS, 0.0)
-        # well above a face a point is outside; past an edge, or nearby, the nearest place does not tell which side it is on
+        # well above a face a point is outside; past an edge, or close by, the nearest place does not decide the side
         unsure = np.flatnonzero((along + past > 0.0) | (out < _SURE))
         inside = np.zeros(len(points), dtype=bool)
         inside[unsure] = self._covered(within[unsure])
@@ -84,7 +84,7 @@ class SheetSolid:
         return self.sheets[self.laid[bead]].normals(tips)
 
     def normals(self, points: Array) -> Array:
-        """Unit directions (n, 3) in which the distance from what is there grows; upwards next to the bed and inside."""
+        """Unit directions (n, 3) in which the distance from sheets grows; upwards next to the bed and inside."""
         out = np.tile([0.0, 0.0, 1.0], (len(points), 1))
         skin = self._skin(self.level)
         if len(skin.points) == 0:
@@ -132,7 +132,7 @@ class SheetSolid:
 
 
 def _bare(piece: _Piece, sheets: list[WingSheet]) -> _Piece:
-    """What of a face lies on no sheet."""
+    """The places of a face that lie on no sheet."""
     points, normals, grain = piece
     bare = ~_inside(sheets, points + _NUDGE * normals)
     return points[bare], normals[bare], grain[bare]

@@ -2,10 +2,10 @@
 
 A side is ruled: straight lines join the section at one end of the span to that at the other. Points are (x, y, z) in
 the part frame [m]: x along the chord, y along the span, z upwards. A place on a side is u, from 0 to 1 along both
-sections at once, and v, from 0 to 1 along the span. The lines go on straight beyond both ends, so that layers inside
-the wing, which lean along the span, are parallel to a side up to its ends.
+sections at once, and v, from 0 to 1 along the span. The lines continue straight beyond both ends, so that layers inside
+the wing, which lean along the span, are parallel to a side right up to its ends.
 
-An SpanIntervals says where a layer is worth printing: intervals across the wing, at stations along the span.
+SpanIntervals says where a layer is worth printing: intervals across the wing, at stations along the span.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Flags
 from planner.toolpath.wing.section import AerofoilSection, SectionSide
 
-_GRID = (400, 17)  # places along u and v where the search for the nearest one begins
-_BEYOND = 0.25  # of the span, by which the search goes on at either end
+_GRID = (400, 17)  # places along u and v at which the search for the nearest one starts
+_BEYOND = 0.25  # of the span, by which the search extends beyond either end
 _LOFT_STEPS = 4  # from a place some tenths of a millimetre away
-_TURNS = 60  # of the iteration for the place that a given y is above: contracts some thirty times each on a usual wing
-_STILL = 1e-13  # of the span: that iteration ends
+_TURNS = 60  # of the iteration for a parallel's place at a given y: each gains a factor of about thirty on a usual wing
+_STILL = 1e-13  # of the span: a smaller step ends that iteration
 
 Intervals = Sequence[tuple[float, float]]
 STATION = 0.5e-3  # m between stations; between them edges are straight
-_CELLS = 240  # across a side, in which edges are looked for
+_CELLS = 240  # across a side, in which edges are searched
 _CROSSES = 1e-8  # m by which a parallel may come closer to its own side than its distance
 _HALVINGS = 12  # of a cell of some 0.3 mm, each by a secant's guess
 _FEWEST = 8  # stations
 
-_NUDGE = 1e-6  # m by which a place beyond the ends of a side is off its normal there
-_ACROSS, _ALONG = 161, 9  # places of the table by which a sheet is unrolled
-_MARGIN = 0.02  # of a sheet's breadth, by which that table is wider
-_FLATTEST = 0.02  # least length of the unrolled sheet, per length of the side: outside the sheet it may fold over
-_SHEET_STEPS = 6  # from straight interpolation, to nanometres along the sheet
+_NUDGE = 1e-6  # m off the normal at an end of a side: a place farther off is beyond that end
+_ACROSS, _ALONG = 161, 9  # places in the table that unrolls a sheet
+_MARGIN = 0.02  # of a sheet's width, by which that table is wider
+_FLATTEST = 0.02  # least unrolled length, per length of the side: outside its area a sheet may fold over
+_SHEET_STEPS = 6  # Newton steps, down to nanometres along the sheet
 
 
 @dataclass(frozen=True)
@@ -58,13 +58,13 @@ class LoftedSide:
         return np.column_stack([flat[:, 0], self.start + self.span * v, flat[:, 1]])
 
     def inward(self, u: Array, v: Array) -> Array:
-        """Unit normals (n, 3) into the wing."""
+        """Unit normals (n, 3) pointing into the wing."""
         (root, tip), (along_root, along_tip) = self._ends(u, 0), self._ends(u, 1)
         along = (1.0 - v)[:, None] * along_root + v[:, None] * along_tip
         return self._normals(along, tip - root)
 
     def parallel(self, u: Array, y: Array, distance: float) -> tuple[Array, Array]:
-        """Points of the surface parallel to this one, `distance` [m] inside it, at u and y (n); unit normals inwards (n, 3).
+        """Points and inward unit normals (n, 3) at u and y (n) of the surface parallel to this, `distance` [m] inside.
 
         The points are exact: `distance` from this side along its normal.
         """
@@ -82,7 +82,7 @@ class LoftedSide:
         return np.column_stack([flat[:, 0], y, flat[:, 1]]), inward
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
-        """Places u, v (n) of this side that are nearest to points (n, 3): where their normal meets it, if it does."""
+        """Places u, v (n) on this side nearest to points (n, 3): feet of perpendiculars, if there are any."""
         u_grid, v_grid, tree = self._search
         _, k = tree.query(points)
         u, v = u_grid[k], v_grid[k]
@@ -98,7 +98,7 @@ class LoftedSide:
             pull_v = (off * to_v).sum(axis=1) + off_y * self.span
             a, c = (to_u * to_u).sum(axis=1), (to_v * to_v).sum(axis=1) + self.span**2
             b = (to_u * to_v).sum(axis=1)
-            # Newton's second derivatives where they keep a minimum, else those of the distance from a tangent plane
+            # full Newton where the Hessian is positive definite, otherwise Gauss-Newton
             full_a, full_b = a + (off * bend).sum(axis=1), b + (off * twist).sum(axis=1)
             good = (full_a > 0.0) & (full_a * c > full_b**2)
             a, b = np.where(good, full_a, a), np.where(good, full_b, b)
@@ -120,7 +120,7 @@ class LoftedSide:
         return found[0], found[1]
 
     def _normals(self, along: Array, across: Array) -> Array:
-        """Unit normals (n, 3) from derivatives (n, 2) by u and by v; that by v is `span` along y."""
+        """Unit normals (n, 3) from derivatives (n, 2) by u and by v; the latter also has the y component `span`."""
         x, z = along.T
         normals = np.column_stack([-z * self.span, z * across[:, 0] - x * across[:, 1], x * self.span])
         return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
@@ -153,7 +153,7 @@ class Loft:
 
 
 def stations_of(start: float, span: float) -> Array:
-    """y of the stations of a wing [m], both ends among them."""
+    """y of the stations of a wing [m], including both ends."""
     return np.linspace(start, start + span, max(round(span / STATION), _FEWEST) + 1)
 
 
@@ -184,7 +184,7 @@ class SpanIntervals:
         return bool(np.isnan(self.edges).all())
 
     def at(self, y: Array) -> Array:
-        """Edges (n, k, 2) at y (n): between those of the two stations, or of the nearest if these differ in number."""
+        """Edges (n, k, 2) at y (n): interpolated between two stations, or the nearest one's if the numbers differ."""
         y = np.clip(y, self.y[0], self.y[-1])
         k = np.clip(np.searchsorted(self.y, y, side="right") - 1, 0, len(self.y) - 2)
         share = (y - self.y[k]) / (self.y[k + 1] - self.y[k])
@@ -203,10 +203,10 @@ class SpanIntervals:
 def parallel_area(
     side: LoftedSide, other: LoftedSide, distance: float, apart: float, tilt: float, stations: Array
 ) -> SpanIntervals:
-    """Where a surface parallel to `side`, so far inside (or outside, if negative) [m], is worth printing: intervals of u.
+    """Intervals of u where a surface parallel to `side`, `distance` [m] inside (outside if negative), is worth laying.
 
-    It ends where the other side is less than `apart` [m] away, where it would cross itself, and where it is steeper than
-    `tilt` [rad].
+    It ends where the other side is less than `apart` [m] away, where it would cross itself, and where it is steeper
+    than `tilt` [rad].
     """
 
     def room(u: Array, y: Array) -> Array:
@@ -241,7 +241,7 @@ def _edges(
     good: NDArray[np.intp],
     bad: NDArray[np.intp],
 ) -> Array:
-    """Where between cells `good` and `bad` (n) of u, at y (n), there begins to be room."""
+    """The u between cells `good` and `bad` (n), at y (n), at which room begins."""
     k = np.arange(len(y))
     inner, outer, has, lacks = u[good], u[bad], rooms[k, good], np.minimum(rooms[k, bad], -1e-15)
     for _ in range(_HALVINGS if len(y) else 0):
@@ -255,14 +255,14 @@ def _edges(
 
 
 class WingPlaces:
-    """Points (n, 3), and where they lie beside sides of a wing; each side is searched once."""
+    """Points (n, 3), and their positions relative to sides of a wing; each side is searched once."""
 
     def __init__(self, points: Array) -> None:
         self.points = points
         self._beside: dict[int, tuple[Array, Array]] = {}
 
     def beside(self, side: LoftedSide) -> tuple[Array, Array]:
-        """u (n) of the nearest places on a side, and distances (n) from these, inwards; NaN beyond its ends across."""
+        """u (n) of the nearest places on a side, and depths (n) inside it; NaN beyond its ends across the wing."""
         if id(side) not in self._beside:
             u, v = side.nearest(self.points)
             away, inward = self.points - side.points(u, v), side.inward(u, v)
@@ -273,11 +273,11 @@ class WingPlaces:
 
 
 class WingSheet(Protocol):
-    """One layer: what lies under its tip surface. A place on it is c across the wing and y along the span."""
+    """One layer: the volume under its tip surface. A place on it is c across the wing and y along the span."""
 
     @property
     def area(self) -> SpanIntervals:
-        """Where it is, in c and y."""
+        """The area that it covers, in c and y."""
         ...
 
     @property
@@ -292,7 +292,7 @@ class WingSheet(Protocol):
 
     @property
     def slope(self) -> float:
-        """Of its middle line, unrolled: x by y."""
+        """Slope of its unrolled middle line: x by y."""
         ...
 
     def tips(self, c: Array, y: Array) -> tuple[Array, Array]:
@@ -308,11 +308,11 @@ class WingSheet(Protocol):
         ...
 
     def unrolled(self, c: Array, y: Array) -> Array:
-        """x (n) [m] of places c, y (n) where the sheet is rolled out: lengths across the wing, from one line on."""
+        """x (n) [m] of places c, y (n) on the unrolled sheet: lengths across the wing, from one line on."""
         ...
 
     def rolled(self, x: Array, y: Array) -> Array:
-        """c (n) of places x, y (n) of the sheet rolled out."""
+        """c (n) of places x, y (n) on the unrolled sheet."""
         ...
 
 
@@ -335,7 +335,7 @@ class CurvedSheet:
 
     @property
     def slope(self) -> float:
-        """Of its middle line, unrolled: x by y."""
+        """Slope of its unrolled middle line: x by y."""
         return self._table[1]
 
     @cached_property
@@ -375,11 +375,11 @@ class CurvedSheet:
         return np.asarray(covered)
 
     def unrolled(self, c: Array, y: Array) -> Array:
-        """x (n) [m] of places c, y (n) where the sheet is rolled out: lengths across the wing, from one line on."""
+        """x (n) [m] of places c, y (n) on the unrolled sheet: lengths across the wing, from one line on."""
         return np.asarray(self._table[0].ev(c, y))
 
     def rolled(self, x: Array, y: Array) -> Array:
-        """c (n) of places x, y (n) of the sheet rolled out."""
+        """c (n) of places x, y (n) on the unrolled sheet."""
         table, _, low, high = self._table
         c = np.full(len(x), 0.5 * (low + high))
         for _ in range(_SHEET_STEPS):
@@ -388,10 +388,10 @@ class CurvedSheet:
 
     @cached_property
     def _table(self) -> tuple[RectBivariateSpline, float, float, float]:
-        """x by u and y, the slope of the middle line, and the least and the greatest u.
+        """Unrolled x by u and y, the slope of the middle line, and the least and greatest u.
 
-        x is the length across, at one y, from a straight line along the middle of the area, plus what that line moves:
-        so the sheet is rolled out nearly without stretching, whatever the wing's taper and sweep.
+        x is the length across, at one y, from a straight line along the middle of the area, plus that line's shift:
+        so the sheet is unrolled nearly without stretching, whatever the wing's taper and sweep.
         """
         there = ~np.isnan(self.area.edges).all(axis=(1, 2))
         y_there = self.area.y[there]
@@ -418,7 +418,7 @@ class CurvedSheet:
         slope, place = np.polyfit(y_there, middle[:, 0], 1) if len(y_there) > 1 else (0.0, middle[0, 0])
         starts = []
         for k in range(_ALONG):
-            # the line's own u: where x of the points is the line's, nearest to the middle
+            # the line's own u: where the points have the line's x, nearest to the middle
             roots = CubicSpline(u, points[k, :, 0] - (slope * y[k] + place)).roots(extrapolate=False)
             at = roots[np.argmin(np.abs(roots - centre.mean()))] if len(roots) else centre.mean()
             starts.append(float(CubicSpline(u, length[k])(at)))

@@ -1,6 +1,6 @@
-"""Layers of a print that is straight along its span: strips of the section, and the solid that they add up to.
+"""Layers of a print that is straight along its span: strips of the section, and the solid that they make up.
 
-A strip rolled out is a rectangle, which one zig-zag line fills.
+Unrolled, a strip is a rectangle, which one zig-zag line fills.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from planner.toolpath.plane_paths import make_bead
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.wing.section import SectionSide
 
-_Piece = tuple[Array, Array]  # of an outline: see there
-_SAMPLE = 5e-5  # m between places at which outlines are looked up
-_NUDGE = 1e-6  # m that a place of an outline is moved out to see whether something else is there
-_DENSE = 400  # intervals on which the length of a parallel curve is integrated
+_Piece = tuple[Array, Array]  # part of an _Outline: places and normals
+_SAMPLE = 5e-5  # m between places at which outlines are sampled
+_NUDGE = 1e-6  # m by which a place on an outline is moved out to see whether something else is there
+_DENSE = 400  # intervals over which the length of a parallel curve is integrated
 
 STEP = 1e-3  # m between waypoints where a strip is flat
-TURN = 0.06  # rad that the nozzle turns from one waypoint to the next at most, where a strip bends most
-APART = 0.5  # of the distance of passes: the source's points lie no farther apart
-PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
+TURN = 0.06  # rad: most that the nozzle turns between waypoints, where a strip bends most
+APART = 0.5  # × the distance between passes: the source's points lie no farther apart
+PER_RUN = 10.0  # samples per run-in, which set the spacing at the bead's ends
 
 
 class Strip(Protocol):
-    """One layer seen along the span: what lies under its tip curve. Points are (x, z) in the part frame [m]."""
+    """One layer seen along the span: the area under its tip curve. Points are (x, z) in the part frame [m]."""
 
     @property
     def length(self) -> float:
@@ -63,12 +63,12 @@ class Strip(Protocol):
 
     @property
     def side(self) -> SectionSide | None:
-        """The side that it is parallel to; None where it is level."""
+        """The side to which it is parallel; None if it is level."""
         ...
 
     @property
     def edges(self) -> tuple[float, float, float, float]:
-        """Parameters of its side from and to, and distances inwards from there from and to [m]; of a level one x and z."""
+        """Parameter range on its side, and range of distances inwards from there [m]; if level, ranges of x and z."""
         ...
 
 
@@ -112,13 +112,13 @@ class CurvedStrip:
         return self.side.points(t) + self.tip * inward, self._outward * inward
 
     def normals(self, points: Array) -> Array:
-        """Outward unit normals (n, 2) of the side at those of its places nearest to points (n, 2) that the strip covers."""
+        """Outward unit normals (n, 2) of the side at the places, within the strip, nearest to points (n, 2)."""
         t = np.clip(self.side.nearest(points), self.first, self.last)
         return self._outward * self.side.inward(t)
 
     @property
     def edges(self) -> tuple[float, float, float, float]:
-        """Parameters of its side from and to, and distances inwards from there from and to [m]."""
+        """Parameter range on its side, and range of distances inwards from there [m]."""
         return self.first, self.last, min(self.tip, self.base), max(self.tip, self.base)
 
     def _curvature(self, t: Array) -> Array:
@@ -183,13 +183,13 @@ class FlatStrip:
 
     @property
     def edges(self) -> tuple[float, float, float, float]:
-        """x from and to, and z from and to [m]."""
+        """Ranges of x and of z [m]."""
         return self.first, self.last, self.base, self.tip
 
 
 @dataclass(frozen=True)
 class StripUnion:
-    """Strips that are asked all at once for what lies in any of them.
+    """Strips that are checked all at once for points that lie in any of them.
 
     curved  sides of the section, and the edges (k, 4) of the strips parallel to each
     level   edges (k, 4) of level strips
@@ -200,7 +200,7 @@ class StripUnion:
 
     @classmethod
     def of(cls, strips: Sequence[Strip]) -> StripUnion:
-        """Those of all strips."""
+        """The union of all strips."""
         sides = {id(strip.side): strip.side for strip in strips if strip.side is not None}
         curved = tuple((side, np.array([s.edges for s in strips if s.side is side])) for side in sides.values())
         return cls(curved, np.array([s.edges for s in strips if s.side is None]).reshape(-1, 4))
@@ -218,8 +218,7 @@ class StripUnion:
 
 
 def _beside(side: SectionSide, points: Array) -> tuple[Array, Array]:
-    """Parameters (n) of the places on a side nearest to points (n, 2), and the distances (n) from these, inwards; NaN beyond
-    its ends."""
+    """Parameters (n) of the places on a side nearest to points (n, 2), and depths (n) inside; NaN beyond its ends."""
     t = side.nearest(points)
     away, inward = points - side.points(t), side.inward(t)
     ahead = np.abs(away[:, 0] * inward[:, 1] - away[:, 1] * inward[:, 0])
@@ -244,13 +243,13 @@ class _Outline:
 
 @dataclass(frozen=True)
 class LayeredSolid:
-    """The surface that layers lie on: what has been printed, up to the layer that is being printed, on the bed z = 0.
+    """The surface on which layers lie: everything printed before the current layer, on the bed z = 0.
 
-    strips, levels   all strips, and the layer of each in print order, which never falls; -1: there from the start
+    strips, levels   all strips, and the layer of each in print order, never decreasing; -1: there from the start
     laid             the strip that each bead fills
     span             least and greatest y of the solid [m]
     level            the layers before this one are there
-    outlines         of the strips that are there, by level; filled in when it is asked for
+    outlines         of the strips that are there, by level; filled in on request
     """
 
     strips: tuple[Strip, ...]
@@ -261,11 +260,11 @@ class LayeredSolid:
     outlines: dict[int, _Outline] = field(default_factory=dict, compare=False)
 
     def before(self, bead: int) -> LayeredSolid:
-        """The solid when the first `bead` beads have been printed: without the layer of the last of them."""
+        """The solid after the first `bead` beads, without the layer of the last of them."""
         return replace(self, level=self.levels[self.laid[max(bead - 1, 0)]])
 
     def signed_distance(self, points: Array) -> Array:
-        """Distance (n,) of points (n, 3) from what is there; negative inside."""
+        """Distance (n,) of points (n, 3) from strips and bed; negative inside."""
         flat = points[:, ::2]
         bed = points[:, 2]
         outline = self._outline(self.level)
@@ -287,7 +286,7 @@ class LayeredSolid:
         return out
 
     def normals(self, points: Array) -> Array:
-        """Unit directions (n, 3) in which the distance from what is there grows; upwards next to the bed and inside."""
+        """Unit directions (n, 3) in which the distance from strips grows; upwards next to the bed and inside."""
         out = np.tile([0.0, 0.0, 1.0], (len(points), 1))
         outline = self._outline(self.level)
         if len(outline.points) == 0:
@@ -303,7 +302,7 @@ class LayeredSolid:
         return out
 
     def _covered(self, points: Array) -> Flags:
-        """Which points (n, 2) lie in a strip that is there."""
+        """Which points (n, 2) lie in a printed strip, or one that is there from the start."""
         outline = self._outline(self.level)
         low, high = outline.box
         near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
@@ -330,7 +329,7 @@ class LayeredSolid:
 
 
 def _bare(piece: _Piece, strips: StripUnion) -> _Piece:
-    """What of an edge lies on no strip."""
+    """The places of an edge that lie on no strip."""
     points, normals = piece
     bare = ~strips.holds(points + _NUDGE * normals)
     return points[bare], normals[bare]
@@ -374,7 +373,7 @@ class Filling:
     tolerance      at the turns [m]
     run_in         length of a run-in [m]
     spacing        of passes, in bead widths, 1 or more
-    apart          each pass is a bead of its own: nothing is laid in the turns
+    apart          whether each pass is a bead of its own, with nothing laid in the turns
     """
 
     width: float
@@ -386,12 +385,12 @@ class Filling:
 
     @classmethod
     def of(cls, process: ProcessSpec, spec: AerofoilLayersSpec) -> Filling:
-        """Of layers without gaps, as the problem has it."""
+        """For layers without gaps, as the problem says."""
         apart = spec.passes == "apart"
         return cls(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in, apart=apart)
 
     def lines(self, passes: Sequence[Array], name: str) -> list[tuple[str, Array]]:
-        """Waypoints (n, 2) of each bead along passes (k, 2), in the order in which they are laid, and its name."""
+        """Names and waypoints (n, 2) of the beads along passes (k, 2), in print order."""
         if not self.apart or len(passes) == 1:
             return [(name, np.vstack(passes))]
         return [(f"{name} pass {k}", each) for k, each in enumerate(passes, 1)]
@@ -400,11 +399,11 @@ class Filling:
 def fill_strip(
     strip: Strip, along: bool, span: tuple[float, float], filling: Filling, name: str, layer: int, start: Array | None
 ) -> tuple[list[Callable[[], Bead]], Array]:
-    """Fills a strip between two y [m], in passes along its curve or along the span: functions that make its bead, or one for
-    each pass, and the point (3) at which the last one ends.
+    """Fill a strip between two y [m] with passes along its curve or along the span.
 
-    They stay half a pass inside the edges. Of the four corners the first begins at the one nearest to `start` (3), if given.
-    The tip curve is a plane when rolled out, so turns are rounded there and all samples lie on the true curve.
+    Returns functions that make its bead, or one bead per pass, and the point (3) at which the last one ends. Passes
+    stay half a pass inside the edges. The first begins at the corner nearest to `start` (3), if given. The tip surface
+    is plane when unrolled, so turns are rounded there and all samples lie on the true curve.
     """
     sizes = np.array([strip.length, span[1] - span[0]])
     step_axis = 1 if along else 0
@@ -442,7 +441,7 @@ def rolled_bead(
     width: float,
     height: float,
 ) -> Bead:
-    """The bead through waypoints (m, 2) of a layer rolled out, its turns rounded there.
+    """The bead through waypoints (m, 2) on an unrolled layer, where its turns are rounded.
 
     lift: points and outward unit normals (n, 3) of places (n, 2); for tolerance, apart and ends see `interpolate`.
     """
@@ -455,7 +454,7 @@ def rolled_bead(
 
 
 def _zigzag(low: Array, high: Array, step_axis: int, passes: int, step: float) -> Array:
-    """Waypoints (passes, n, 2) of straight passes between corners `low` and `high` (2), every other one run backwards."""
+    """Waypoints (passes, n, 2) of straight passes between corners `low` and `high` (2), every other one reversed."""
     run_axis = 1 - step_axis
     count = max(int(np.ceil((high[run_axis] - low[run_axis]) / step)), 2)
     run = np.linspace(low[run_axis], high[run_axis], count + 1)
@@ -467,7 +466,7 @@ def _zigzag(low: Array, high: Array, step_axis: int, passes: int, step: float) -
 
 
 def _in_space(strip: Strip, span: tuple[float, float], plane: Array) -> tuple[Array, Array]:
-    """Points and normals (n, 3) of places (n, 2) on the strip rolled out: along its curve, along the span."""
+    """Points and normals (n, 3) of places (n, 2) on the unrolled strip: along its curve, along the span."""
     flat, outward = strip.tips(plane[:, 0])
     y = span[0] + plane[:, 1]
     points = np.column_stack([flat[:, 0], y, flat[:, 1]])

@@ -1,4 +1,4 @@
-"""What a wing is printed on: level layers from the bed up, and curved ones between them and its lower surface."""
+"""The support of a wing: level layers from the bed up, and curved ones between them and its lower surface."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from planner.problem.layers import AerofoilLayersSpec, SupportSpec
 from planner.toolpath.wing.section import AerofoilSection, parallels
 from planner.toolpath.wing.strips import CurvedStrip, FlatStrip, Strip
 
-_SAMPLES = 4000  # of the section's underside, between which level layers end
-_APART = 0.5  # layer heights in x that level layers keep from the ends of curved ones
+_SAMPLES = 4000  # of the section's underside, where level layers end
+_APART = 0.5  # layer heights in x by which level layers stay clear of the ends of curved ones
 _ROUNDING = 1e-9  # m
 
 
 def check_support(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpec, floor: float) -> None:
     """Raise InputError for a support that does not fit under the wing, whose lowest point is at `floor` [m].
 
-    It must reach from the bed to all of the wing, and not beyond.
+    It must reach from the bed to the whole wing, and no farther.
     """
     curved = 0 if spec.source.method == "planar" else support.curved  # level wings have none
     field, least = "layers.support", 1e3 * curved * spec.height
@@ -26,18 +26,18 @@ def check_support(problem: Problem, spec: AerofoilLayersSpec, support: SupportSp
         raise problem.error(
             f"{field}.curved",
             f"the wing is {floor * 1e3:.2f} mm above the bed, less than its curved layers are high, {least:g}",
-            f"fewer of them, or z of layers.source.origin_mm greater by {least - floor * 1e3 + 0.005:.2f}",
+            f"fewer layers, or z of layers.source.origin_mm greater by {least - floor * 1e3 + 0.005:.2f}",
         )
     if support.length < spec.source.chord:
-        reason = f"{support.length * 1e3:g} mm are less than the chord"
+        reason = f"{support.length * 1e3:g} mm is less than the chord"
         raise problem.error(f"{field}.length_mm", reason, f"at least {spec.source.chord * 1e3:g}")
     if support.height > spec.source.origin[2]:
-        reason = f"{support.height * 1e3:g} mm are above the leading edge: the nozzle would meet the support"
+        reason = f"{support.height * 1e3:g} mm is above the leading edge: the nozzle would meet the support"
         raise problem.error(f"{field}.height_mm", reason, f"at most {spec.source.origin[2] * 1e3:g}")
 
 
 def curved_layers(section: AerofoilSection, spec: AerofoilLayersSpec, support: SupportSpec) -> list[list[CurvedStrip]]:
-    """The pieces of each curved layer, in print order; the last one's tip is the wing's lower surface."""
+    """The pieces of each curved layer, in print order; the top of the last one is the wing's lower surface."""
     height = spec.height
     layers = []
     for depth in range(support.curved - 1, -1, -1):
@@ -50,9 +50,9 @@ def curved_layers(section: AerofoilSection, spec: AerofoilLayersSpec, support: S
 def level_layers(
     section: AerofoilSection, spec: AerofoilLayersSpec, support: SupportSpec, shortest: float
 ) -> list[list[FlatStrip]]:
-    """The pieces of each level layer, in print order, none of them shorter than `shortest` [m].
+    """The pieces of each level layer, in print order, none shorter than `shortest` [m].
 
-    Under the wing they stay below the curved layers, beside it they reach the support's height.
+    Under the wing they stay below the curved layers; next to it they reach the support's height.
     """
     height, ends = spec.height, level_ends(spec, support)
     under = _underside(section, spec, support)
@@ -76,7 +76,7 @@ def level_ends(spec: AerofoilLayersSpec, support: SupportSpec) -> tuple[float, f
 
 
 def below(under: Array, top: float, ends: tuple[float, float]) -> list[tuple[float, float]]:
-    """Intervals of x between `ends` that have room for a level layer up to `top` below points `under` (n, 2), by x [m]."""
+    """Intervals of x between `ends` with room for a level layer up to `top` below points `under` (n, 2), by x [m]."""
     low, high = ends
     beside = [low, under[0, 0] - _ROUNDING, under[-1, 0] + _ROUNDING, high]
     x = np.unique(np.clip(np.concatenate([beside, under[:, 0]]), low, high))
@@ -85,7 +85,7 @@ def below(under: Array, top: float, ends: tuple[float, float]) -> list[tuple[flo
 
 
 def _underside(section: AerofoilSection, spec: AerofoilLayersSpec, support: SupportSpec) -> Array:
-    """Points (n, 2), by x, above which there is wing or curved support."""
+    """Points (n, 2), sorted by x, above which there is wing or curved support."""
     depth = support.curved * spec.height
     side = section.lower
     ends = parallels(side, section.upper, -depth, 0.0, spec.source.tilt)
@@ -94,10 +94,10 @@ def _underside(section: AerofoilSection, spec: AerofoilLayersSpec, support: Supp
 
 
 def widened(points: Array, spec: AerofoilLayersSpec, support: SupportSpec) -> Array:
-    """Points (n, 2) from nose to tail, by x, and beyond either end how high level layers may be there.
+    """Points (n, 2) from nose to tail, sorted by x, extended at both ends by the height allowed for level layers there.
 
-    They keep a little away from what is curved, and rise no steeper from it than its layers do: a nozzle that stands on its
-    rim leans with it, and would meet a wall.
+    Level layers stay slightly clear of curved ones, and rise from them no more steeply than these tilt: a nozzle at the
+    rim tilts with the curved layers, and would collide with a wall.
     """
     tops = spec.height * np.arange(1, level_count(spec, support) + 1)
     sides = []

@@ -1,8 +1,9 @@
 """Beads of a wing in layers parallel to its lower and its upper surface (Arigela et al.), or in level ones.
 
-The lower half is printed from its surface up to where both sides are equally near, which on a symmetric section is the
-chord line; the upper half from there to its surface. A wing that is straight along its span is made of strips, whose
-tip curves are the section's own spline, offset. One whose section changes, or in level layers, is made of sheets.
+The lower half is printed from its surface up to where both sides are equally near, which is the chord line of a
+symmetric section; the upper half from there to its surface. A wing that is straight along its span is made of strips,
+whose tip curves are offsets of the section's spline. A wing with a changing section, or in level layers, is made of
+sheets.
 """
 
 from __future__ import annotations
@@ -43,13 +44,13 @@ from planner.toolpath.wing.sheets import (
 from planner.toolpath.wing.strips import CurvedStrip, Filling, FlatStrip, LayeredSolid, Strip, fill_strip
 from planner.toolpath.wing.support import below, check_support, level_count, level_ends, strips_of, widened
 
-_GAPE = 1.05  # greatest distance of passes, of their mean: wider, and there are gaps of more than a twentieth of a bead
-_OUTLINE = 1500  # points of a side at one station, where level layers are cut off
+_GAPE = 1.05  # × the mean distance between passes: greatest one; beyond it, gaps exceed a twentieth of a bead
+_OUTLINE = 1500  # points of a side at one station, to which level layers are cut
 
 
 @dataclass(frozen=True)
 class SheetLayer:
-    """A sheet to be filled: its name, whether passes run across the wing, how it is filled, and its material, if named."""
+    """A sheet to fill: its name, whether passes run across the wing, how it is filled, and its material, if named."""
 
     name: str
     sheet: WingSheet
@@ -104,7 +105,7 @@ def lofted_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
 def _laid(
     problem: Problem, spec: AerofoilLayersSpec, layers: Sequence[Sequence[SheetLayer]], ground: list[WingSheet]
 ) -> Toolpath:
-    """All beads in print order, each sheet from the corner on that is nearest to the end of the last."""
+    """All beads in print order; each sheet begins at the corner nearest to the end of the one before."""
     beads: list[Bead] = []
     laid: list[int] = []
     sheets, levels = list(ground), [-1] * len(ground)
@@ -140,9 +141,9 @@ def _laid(
 def _curved(
     problem: Problem, loft: Loft, spec: AerofoilLayersSpec, stations: Array, solid: Filling
 ) -> list[list[SheetLayer]]:
-    """Layers parallel to the lower side, then those parallel to the upper; those next to a side run across.
+    """Layers parallel to the lower side, then those parallel to the upper; passes next to a side run across.
 
-    Raises InputError where sides lean so much towards each other that surfaces parallel to them never meet inside.
+    Raises InputError if sides lean so far towards each other that surfaces parallel to them never meet inside.
     """
     height = spec.height
     thickest = max(float(np.ptp(_outline(loft, y, 0)[:, 1]) + np.ptp(_outline(loft, y, 1)[:, 1])) for y in stations)
@@ -170,7 +171,7 @@ def _curved(
 
 
 def _planar(loft: Loft, spec: AerofoilLayersSpec, stations: Array, solid: Filling) -> list[list[SheetLayer]]:
-    """Level layers from the bed up, each as far as the wing reaches at half its height; empty below the wing."""
+    """Level layers from the bed up, each as wide as the wing halfway up the layer; empty below the wing."""
     outlines = [np.vstack([_outline(loft, y, side) for side in (0, 1)]) for y in stations]
     top = max(float(outline[:, 1].max()) for outline in outlines)
     layers: list[list[SheetLayer]] = []
@@ -183,7 +184,7 @@ def _planar(loft: Loft, spec: AerofoilLayersSpec, stations: Array, solid: Fillin
 
 
 def _outline(loft: Loft, y: float, side: int) -> Array:
-    """Points (n, 2) of the section at y [m]: its upper side (0) from tail to nose, or its lower side (1) from there back."""
+    """Points (n, 2) of the section at y [m]: its upper side (0) from tail to nose, or its lower side (1) back."""
     u = np.linspace(0.0, 1.0, _OUTLINE)
     points = (loft.upper, loft.lower)[side].points(u, np.full(len(u), (y - loft.start) / loft.span))
     return points[:, ::2]
@@ -199,7 +200,7 @@ def _cut(outline: Array, level: float) -> list[tuple[float, float]]:
 
 
 def _curved_support(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stations: Array) -> list[WingSheet]:
-    """Curved layers under the wing, in print order; the last one's tip is the wing's lower surface."""
+    """Curved layers under the wing, in print order; the top of the last one is the wing's lower surface."""
     sheets: list[WingSheet] = []
     for depth in range(support.curved - 1, -1, -1):
         tip, base = -depth * spec.height, -(depth + 1) * spec.height
@@ -210,7 +211,7 @@ def _curved_support(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, 
 
 
 def _level(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stations: Array) -> list[WingSheet | None]:
-    """Level layers of a support, from the bed up: below what is curved, and beside it; None where there is no room."""
+    """Level layers of a support, from the bed up, below and next to its curved part; None where there is no room."""
     ends = level_ends(spec, support)
     unders = [widened(points, spec, support) for points in _undersides(loft, spec, support, stations)]
     sheets: list[WingSheet | None] = []
@@ -222,7 +223,7 @@ def _level(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stations:
 
 
 def _undersides(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stations: Array) -> list[Array]:
-    """At each station points (n, 2) from nose to tail, above which there is wing or curved support."""
+    """At each station, points (n, 2) from nose to tail above which there is wing or curved support."""
     if spec.source.method == "planar":
         return [_outline(loft, y, 1) for y in stations]
     depth = support.curved * spec.height
@@ -236,7 +237,7 @@ def _undersides(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stat
 
 
 def _check_reach(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpec, loft: Loft) -> None:
-    """Raise InputError for a support that reaches less far than the wing, or higher than its leading edge."""
+    """Raise InputError for a support that is shorter than the wing, or higher than its leading edge."""
     low, high = level_ends(spec, support)
     points = [side.points(side.grid) for section in (loft.root, loft.tip) for side in (section.lower, section.upper)]
     x = np.concatenate([each[:, 0] for each in points])
@@ -246,13 +247,13 @@ def _check_reach(problem: Problem, spec: AerofoilLayersSpec, support: SupportSpe
         raise problem.error("layers.support.length_mm", reason, f"at least {(support.length + 2 * short) * 1e3:.2f}")
     nose = min(float(section.lower.points(np.array([section.lower.first]))[0, 1]) for section in (loft.root, loft.tip))
     if support.height > nose:
-        reason = f"{support.height * 1e3:g} mm are above the leading edge of the tip: the nozzle would meet the support"
+        reason = f"{support.height * 1e3:g} mm is above the leading edge of the tip: the nozzle would meet the support"
         raise problem.error("layers.support.height_mm", reason, f"at most {np.floor(nose * 1e5) / 100:g}")
 
 
 @dataclass(frozen=True)
 class StripLayer:
-    """One layer: the strips that it fills, along their curves or along the span, and its material, if that has a name."""
+    """One layer: its strips, whether passes run along their curves or the span, filling, and material, if named."""
 
     name: str
     pieces: Sequence[Strip]
@@ -276,7 +277,7 @@ def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     if not halves:
         raise too_small(problem)
     solid = Filling.of(process, spec)
-    # the outer layers run along the curve, and so does every second one from each surface inwards
+    # passes of the outer layers run along the curve, and so do those of every second layer from each surface inwards
     jobs = [StripLayer("layer", pieces, depth % 2 == 0, solid) for pieces, depth in halves]
     ground: list[Strip] = []
     if spec.support is None:
@@ -301,7 +302,7 @@ def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
 
 
 def _nearest_first(pieces: Sequence[Strip], start: Array | None) -> Sequence[Strip]:
-    """The pieces of a layer from the end of the chord on that is nearer to `start` (3)."""
+    """The pieces of a layer, from the end of the chord nearer to `start` (3)."""
     ends = [float(piece.tips(np.array([0.5 * piece.length]))[0][0, 0]) for piece in pieces]
     order = np.argsort(ends)
     if start is not None and abs(ends[order[-1]] - start[0]) < abs(ends[order[0]] - start[0]):
@@ -312,7 +313,7 @@ def _nearest_first(pieces: Sequence[Strip], start: Array | None) -> Sequence[Str
 def _support(
     section: AerofoilSection, spec: AerofoilLayersSpec, support: SupportSpec, shortest: float, solid: Filling
 ) -> list[StripLayer]:
-    """The layers of a printed support: level ones in turn along and across, curved ones along the curve at last."""
+    """The layers of a printed support, their passes alternately along and across; the last layer's along its curve."""
     loose = replace(solid, spacing=1.0 / support.infill)
     layers = strips_of(section, spec, support, shortest)
     return [
@@ -349,6 +350,6 @@ def _layers(section: AerofoilSection, spec: AerofoilLayersSpec, shortest: float)
 
 
 def _mould(section: AerofoilSection, spec: AerofoilLayersSpec, floor: float) -> list[CurvedStrip]:
-    """What the first layer lies on where no support is printed: a shell down to the bed under the lower surface."""
+    """The ground of the first layer if no support is printed: a shell under the lower surface, down to the bed."""
     ends = parallels(section.lower, section.upper, 0.0, 0.0, spec.source.tilt)
     return [CurvedStrip(section.lower, 0.0, -floor, first, last) for first, last in ends]

@@ -1,1 +1,1 @@
-"""The input read again by the verifier's own code: what is printed is measured against it, not against the toolpath."""
+"""The input read again by the verifier's own code: the print is measured against it, not against the toolpath."""

@@ -1,8 +1,8 @@
-"""A wing's sections and sides once more: NACA's formula itself, or a file's points, and the lines that join two sections.
+"""A wing's sections and sides, derived again: by NACA's formula or a file's points, and the lines joining two sections.
 
-Through the points of a file goes the curve that the documentation names, a spline of degree 5 in chord length, whose
-coefficients are solved for here; sides are then lines of many points. Lengths are metres in the part frame: x along the
-chord, y along the span, z upwards.
+The points of a file are interpolated by the curve that the documentation names, a spline of degree 5 in chord length,
+whose coefficients are solved for here; sides are then lines of many points. Lengths are in metres in the part frame: x
+along the chord, y along the span, z upwards.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from planner.base.arrays import Array
 from planner.problem.layers import AerofoilSpec, TipSpec
 
 _DENSE = 3000  # points of a side: 0.3 um off it at a chord of 100 mm
-_FINE = 30_000  # places at which NACA's formula is asked
+_FINE = 30_000  # places at which NACA's formula is evaluated
 _DEGREE = 5
-_STATIONS = 25  # along the span, at which the nearest line is looked for
-_BEYOND = 0.25  # of the span, by which lines go on
-_STEPS = 40  # towards the foot of a perpendicular; each gains a factor of the depth over the radius of curvature
-_STILL = 1e-4  # lines: that search ends
-_PIVOT = 0.25  # of the chord, about which a section is turned
-_LEAP = 50.0  # lines that a step goes at most
-_NUDGE = 1e-6  # m, along the side, by which a perpendicular may miss a point
+_STATIONS = 25  # along the span, from which searches for the nearest line start
+_BEYOND = 0.25  # × the span: lines extend this far beyond both sections
+_STEPS = 40  # most steps to the foot of a perpendicular; each reduces the error by depth / radius of curvature
+_STILL = 1e-4  # lines: that search ends at a smaller step
+_PIVOT = 0.25  # × the chord: a section is turned about this point
+_LEAP = 50.0  # lines: longest step of that search
+_NUDGE = 1e-6  # m along the side: a perpendicular may miss a point by this
 _TINY = 1e-30
 
 
 @dataclass(frozen=True)
 class Sides:
-    """Upper and lower side of a section: points (n, 2) from the nose on, at the same shares of the side's parameter in all
-    sections, which is its length, or of a file the chord length of its points; and unit tangents (n, 2)."""
+    """Upper and lower side of a section: points (n, 2) from the nose on and unit tangents (n, 2), at the same shares of
+    the side's parameter in all sections: its length or, for a file, the chord length of its points."""
 
     upper: tuple[Array, Array]
     lower: tuple[Array, Array]
 
 
 def sections_of(source: AerofoilSpec) -> tuple[Sides, Sides]:
-    """The sections at root and tip, in their places. Raises OSError and ValueError for files that are not there or empty."""
+    """The sections at root and tip, in place. Raises OSError and ValueError for files that are missing or empty."""
     x, _, z = source.origin
     root = _section(source, source.chord, np.array([x, z]), 0.0)
     tip = source.tip
@@ -85,14 +85,14 @@ def _naca(digits: str) -> Sides:
     sides = [np.column_stack([x - s * thick * np.sin(lean), line + s * thick * np.cos(lean)]) for s in (1.0, -1.0)]
     tangents = [_unit(np.gradient(side, turn, axis=0, edge_order=2)) for side in sides]
     for along in tangents:
-        along[-1] = along[-2]  # at the tail the place stands still as the angle grows
+        along[-1] = along[-2]  # at the tail, the derivative by the angle vanishes
     lengths = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(side, axis=0), axis=1))) for side in sides]
     return Sides(*(_spread(*each) for each in zip(lengths, sides, tangents, strict=True)))
 
 
 @lru_cache(maxsize=4)
 def _of_file(path: Path, changed: int, size: int) -> Sides:
-    """The section in a file of points, of chord 1 with its nose at the origin; `changed` and `size` tell one file from another."""
+    """The section in a file of points, with chord 1 and nose at the origin; `changed` and `size` identify the file."""
     rows = _rows(path)
     if (rows[0] >= 2.0).all() and rows[0].sum() == len(rows) - 1:  # Lednicer's layout
         first = int(rows[0, 0])
@@ -119,7 +119,7 @@ def _of_file(path: Path, changed: int, size: int) -> Sides:
 
 
 def _rows(path: Path) -> Array:
-    """All lines (n, 2) of two numbers and nothing else."""
+    """All rows (n, 2) of exactly two numbers."""
     rows = []
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         words = line.split()
@@ -140,7 +140,7 @@ def _shares() -> Array:
 
 
 def _spread(s: Array, points: Array, along: Array) -> tuple[Array, Array]:
-    """A line by its parameters s (n), at the same shares of them for every section: points, and unit tangents (n, 2)."""
+    """A line with parameters s (n), resampled at the same shares for every section: points and unit tangents (n, 2)."""
     columns = np.column_stack([points, along])
     out = np.column_stack([np.interp(_shares() * s[-1], s, column) for column in columns.T])
     return out[:, :2], _unit(out[:, 2:])
@@ -152,12 +152,12 @@ def _unit(vectors: Array) -> Array:
 
 @dataclass(frozen=True)
 class Ruled:
-    """One side of a wing: straight lines (n) from points of one section to those of the other, which go on beyond both.
+    """One side of a wing: straight lines (n) from points of one section to those of the other, extended beyond both.
 
     root, tip      (n, 2) points of the sections
     slopes         (2, n, 2) unit tangents of both
-    start, span    y of the root, and to the tip [m]
-    inward         1 where the left of the way along the side is inside, -1 where the right is
+    start, span    y of the root, and from there to the tip [m]
+    inward         1 if the wing is to the left of the side's direction, -1 if to the right
     """
 
     root: Array
@@ -168,7 +168,7 @@ class Ruled:
     inward: float
 
     def points(self, line: Array, v: Array) -> Array:
-        """Points (k, 3) at places `line` (k), counted in lines, and shares v (k) of the span."""
+        """Points (k, 3) at fractional line numbers `line` (k) and shares v (k) of the span."""
         root, tip = self._at(self.root, line), self._at(self.tip, line)
         flat = root + v[:, None] * (tip - root)
         return np.column_stack([flat[:, 0], self.start + v * self.span, flat[:, 1]])
@@ -181,9 +181,9 @@ class Ruled:
         return _unit(np.cross(ruling, along)) * self.inward
 
     def depths(self, points: Array) -> tuple[Array, Array, Array]:
-        """How far inside points (k, 3) are [m], unit normals (k, 3) inwards at their feet, and the lines (k) of these.
+        """Depth [m] of points (k, 3) inside the side, inward unit normals (k, 3) at their feet, and their lines (k).
 
-        NaN beside the two edges of the side, where no perpendicular reaches.
+        The depth is NaN past the two edges of the side, where no perpendicular reaches.
         """
         at, tree = self._search
         line = at[tree.query(points)[1]]
@@ -205,7 +205,7 @@ class Ruled:
         return np.where(beside, np.nan, (off * inward).sum(axis=1)), inward, line
 
     def _off(self, points: Array, line: Array) -> tuple[Array, Array]:
-        """Shares (k) of the span at the feet of points (k, 3) on lines (k), and the ways (k, 3) from these feet [m]."""
+        """Shares (k) of the span at the feet of points (k, 3) on lines (k), and vectors (k, 3) from these feet [m]."""
         root, tip = self._at(self.root, line), self._at(self.tip, line)
         ruling = np.column_stack([tip[:, 0] - root[:, 0], np.full(len(line), self.span), tip[:, 1] - root[:, 1]])
         away = points - np.column_stack([root[:, 0], np.full(len(line), self.start), root[:, 1]])
@@ -214,13 +214,13 @@ class Ruled:
 
     @cached_property
     def _search(self) -> tuple[Array, cKDTree]:
-        """Lines (k) that a search begins at, and the tree of places along them."""
-        shares = np.linspace(-_BEYOND, 1.0 + _BEYOND, _STATIONS)  # searching more densely would only take longer
+        """Lines (k) from which searches start, and the tree of places along them."""
+        shares = np.linspace(-_BEYOND, 1.0 + _BEYOND, _STATIONS)  # more would only take longer
         at, v = (each.ravel() for each in np.meshgrid(np.arange(0.0, len(self.root), 3.0), shares, indexing="ij"))
         return at, cKDTree(self.points(at, v))
 
     def _at(self, values: Array, line: Array) -> Array:
-        """Values (n, k) between lines."""
+        """Values (n, k) interpolated between lines."""
         low = np.clip(line.astype(np.int64), 0, len(values) - 2)
         share = (line - low)[:, None]
         return np.asarray((1.0 - share) * values[low] + share * values[low + 1])
@@ -233,7 +233,7 @@ class Ruled:
         return _unit(np.column_stack([flat[:, 0], np.zeros(len(line)), flat[:, 1]]))
 
     def _pace(self, line: Array, v: Array) -> Array:
-        """Length (k) [m] from line to line at a share of the span."""
+        """Distance (k) [m] from line to line at a share of the span."""
         return np.asarray((1.0 - v) * self._paces(self.root, line) + v * self._paces(self.tip, line))
 
     def _paces(self, end: Array, line: Array) -> Array:
@@ -242,5 +242,5 @@ class Ruled:
 
 
 def ruled(root: tuple[Array, Array], tip: tuple[Array, Array], start: float, span: float, upper: bool) -> Ruled:
-    """A side of a wing from both sections' (points and tangents, from the nose on)."""
+    """A side of a wing from both sections' points and tangents, from the nose on."""
     return Ruled(root[0], tip[0], np.stack([root[1], tip[1]]), start, span, 1.0 if upper else -1.0)

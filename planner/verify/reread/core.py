@@ -1,7 +1,7 @@
-"""Cores once more: their layers from the facets of body and middle, and the pattern that each of them is to hold.
+"""Cores read again: their layers from the facets of body and middle, and the pattern that each of them must hold.
 
-A layer's height is a sum of multiples of the heights of body and middle, which are asked of the facets themselves. Lengths
-are metres in the part frame.
+A layer's height is a weighted sum of the heights of body and middle, which come from the facets themselves. Lengths are
+in metres in the part frame.
 """
 
 from __future__ import annotations
@@ -33,19 +33,20 @@ from planner.verify.reread.places import (
 from planner.verify.reread.plane_curves import NotRead, read_again
 from planner.verify.reread.slopes import SEEN, Heights, axis_along, normals_over, off_facets
 
-_CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
-_PIECE = 3.3  # bead widths: shorter pieces may be left out, as those shorter than three are
-_STEEP = np.radians(2.0)  # by which places may be less steep than layers may, and not be asked for
-_LEAST = 0.2  # of the height of layers: where varying ones were less high, they are left out
-_UNSURE = 0.02  # layers by which the space between body and middle may be told differently
-_UNKNOWN = 1.0  # m
-_FEW = 0.02  # m of a layer, of which a share is taken at least
-_ENDS = 0.005  # of a layer's length: ends of its pieces
+_CHORDS = 2.0  # chord tolerances: one for the planner's reading, one for this
+_PIECE = 3.3  # bead widths: shorter pieces may be left out, as the planner leaves out those shorter than three
+_STEEP = np.radians(2.0)  # places within this of the steepest slope allowed may be left out
+_LEAST = 0.2  # × the layer height: layers of varying height are left out where they would be lower
+_UNSURE = 0.02  # layers: uncertainty of the space between body and middle
+_UNKNOWN = 1.0  # m, in place of an unknown distance
+_FEW = 0.02  # m: shares are taken of at least this length of a layer
+_ENDS = 0.005  # × a layer's length: ends of its pieces
 
 
 @dataclass(frozen=True)
 class CoreLayer:
-    """A layer at body * (height of the body) + middle * (of the middle) + rise [m], laid where there is `room` between them."""
+    """A layer at body * (height of the body) + middle * (height of the middle) + rise [m], laid where they are at least
+    `room` [m] apart."""
 
     body: float
     middle: float
@@ -59,7 +60,7 @@ class CoreLayer:
 
 @dataclass(frozen=True)
 class Space:
-    """The heights of body and middle, and the lines (n, 2) of the pattern in its place."""
+    """The heights of body and middle, and the lines (n, 2) of the pattern where it is placed."""
 
     body: Heights
     middle: Heights
@@ -67,7 +68,7 @@ class Space:
 
 
 def core(judged: Judged, places: Places) -> Iterator[Check]:
-    """All checks of a core; none of another print."""
+    """All checks of a core; none for other prints."""
     spec = judged.problem.layers
     if not isinstance(spec, CoreLayersSpec):
         return
@@ -146,8 +147,8 @@ def _heights(space: Space, layer: CoreLayer) -> Heights:
 
 
 def _stacks(spec: CoreLayersSpec, most: float) -> Iterator[list[CoreLayer]]:
-    """The layers in print order where the middle is up to `most` [m] above the body; more than one answer where a hair of that
-    decides how many layers share it."""
+    """The layers in print order if the middle is up to `most` [m] above the body; several candidates where a hair of
+    that decides the number of layers."""
     height, both = spec.height, spec.halves == "both"
     if spec.heights == "even":
         count = int(most / height + 1.0)
@@ -164,7 +165,7 @@ def _stacks(spec: CoreLayersSpec, most: float) -> Iterator[list[CoreLayer]]:
 def _matched(
     spec: CoreLayersSpec, most: float, places: Places, body: Array, middle: Array
 ) -> tuple[list[CoreLayer], Ints]:
-    """The layers, and the number (n) of the one that most of a printed layer is nearest to."""
+    """The layers, and for each place the number (n) of the one that its printed layer is mostly nearest to."""
     best: tuple[float, list[CoreLayer], Ints] = (np.inf, [], np.zeros(len(body), dtype=np.int64))
     for layers in _stacks(spec, most):
         which, worst = np.empty(len(body), dtype=np.int64), 0.0
@@ -182,9 +183,9 @@ def _left_out(
     judged: Judged, spec: CoreLayersSpec, space: Space, layers: Sequence[CoreLayer], which: Ints, places: Places,
     near: float, unsure: float,
 ) -> Check:  # fmt: skip
-    """The share of the pattern that is asked for and not printed, in the worst layer.
+    """The share of the required pattern that is not printed, in the worst layer.
 
-    unsure: m by which there may be more room than a layer needs where it is not asked for
+    unsure: uncertainty of the room between body and middle [m]; nothing is required with less to spare
     """
     dots, weight = dots_of_lines(space.lines)
     line = np.cumsum(np.append(True, np.linalg.norm(np.diff(dots, axis=0), axis=1) > 2.0 * weight[1:])) - 1
@@ -193,7 +194,7 @@ def _left_out(
     slope_low, slope_high = (-each[:, :2] / each[:, 2:] for each in slopes)
     printed = dict(by_number(which))
     first = min(printed) if judged.trajectory.first_bead else -1
-    last, before = max(printed), 0  # layers before that may have been laid
+    last, before = max(printed), 0  # before: earlier layers that may have been laid
     worst = 0.0
     where = EVERYWHERE
     for k, layer in enumerate(layers):
@@ -212,12 +213,12 @@ def _left_out(
         if share > worst:
             worst, spot = share, dots[np.argmax(lost)] * 1e3
             where = f"layer {k + 1}, at {spot[0]:.1f}, {spot[1]:.1f} mm"
-    # what notes tell of is in pieces that are not asked for
+    # what the notes report as left out is in pieces that are not required
     return Check(WHOLE, worst, _ENDS, "of its length", worst <= _ENDS, where)
 
 
 def _pieces(there: Flags, line: Ints, weight: Array, least: float) -> Flags:
-    """Which places (n) are in pieces of lines that are so long at least [m]."""
+    """Whether places (n) are in pieces of lines at least this long [m]."""
     change = (there[1:] != there[:-1]) | (line[1:] != line[:-1])
     piece = np.append(0, np.cumsum(change))
     return np.asarray(there & (np.bincount(piece, weight)[piece] >= least))

@@ -1,6 +1,6 @@
-"""Curves of a STEP or IGES file as lines of Open CASCADE's own discretisation: those that bound no face.
+"""Curves of a STEP or IGES file that bound no face, as polylines of Open CASCADE's own discretisation.
 
-It runs as a process of its own (`plane_curves.py`): a damaged file can end it at any place, without a word.
+It runs as a separate process (started by `plane_curves.py`): a damaged file can end it anywhere, without a message.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from OCP.TopoDS import TopoDS
 from planner.base.arrays import Array
 from planner.base.isolated import answer
 
-_TURN, _OFF = 0.005, 0.001  # rad between chords, and mm by which they may leave the curve
-_FEWEST = 200  # points of an edge
-_ONE = 2e-3  # mm: ends that are nearer are those of one curve
+_TURN, _OFF = 0.005, 0.001  # rad between chords, and mm that chords may lie off the curve
+_FEWEST = 200  # least number of points of an edge
+_ONE = 2e-3  # mm: edges whose ends are nearer are parts of one curve
 
 
 def lines(request: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Prints on faces of a STEP or IGES file: whether tips lie above the named faces as high as they are to, and cover them."""
+"""Prints on faces of a STEP or IGES file: whether tips keep their height above the named faces, and cover them."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ from planner.verify.reread.places import (
 from planner.verify.reread.plane_curves import NotRead
 from planner.verify.reread.step_faces import OFF, TURNED, MeshedFaces, meshed_faces, read_ahead
 
-_MOST = 20_000  # places of the print at which the nearest place of the faces is looked for
-_SMOOTH = 2e-5  # m that beads that are projected may lie off faces: a smooth surface crosses their seams
-_FOLDED = 0.2  # of the way from a hollow to its centre: layers nearer to that fold, and are none
-_RIM = 0.25  # distances of lines, by which rounded corners may leave faces
-_SPACED = 0.25  # distances of lines between places that are to be covered
-_NEAR = {"rows": 0.75}  # distances of lines from one: half of it is as far as rows leave places; paths through samples
-_THROUGH_SAMPLES = 1.4  # may leave a strip at an edge
+_MOST = 20_000  # places of the print for which the nearest point on the faces is found
+_SMOOTH = 2e-5  # m: projected beads may lie this far off the faces, as a smooth surface crosses their seams
+_FOLDED = 0.2  # × a hollow's radius: no layer comes nearer to its centre, as it would fold
+_RIM = 0.25  # × the line spacing: rounded corners may leave the faces by this much
+_SPACED = 0.25  # × the line spacing: distance between places to be covered
+_NEAR = {"rows": 0.75}  # × the line spacing: greatest distance to a line; rows stay within half of the spacing
+_THROUGH_SAMPLES = 1.4  # the same for paths through samples, which may leave a strip at an edge
 
 
 def faces_ahead(problem: Problem) -> AbstractContextManager[None]:
-    """Has the faces that a print lies on read beside the block, for the checks in it; nothing for another print."""
+    """Context in which the faces that a print lies on are read in the background; no-op for other prints."""
     layers, part = problem.layers, problem.part
     if part is None or part.step is None or not isinstance(layers, (FaceLayersSpec, ProjectedLayersSpec)):
         return nullcontext()
@@ -49,12 +49,12 @@ def faces_ahead(problem: Problem) -> AbstractContextManager[None]:
 
 
 def _lain_on(layers: FaceLayersSpec | ProjectedLayersSpec, step: StepSpec) -> Sequence[int | str] | str:
-    """The faces of a file that layers lie on."""
+    """The faces of a file that the layers lie on."""
     return layers.source.faces if isinstance(layers, FaceLayersSpec) else step.faces
 
 
 def faces(judged: Judged, places: Places) -> Iterator[Check]:
-    """All checks of a print on faces; none of another one."""
+    """All checks of a print on faces; none for other prints."""
     layers, part = judged.problem.layers, judged.problem.part
     if part is None or part.step is None or not isinstance(layers, (FaceLayersSpec, ProjectedLayersSpec)):
         return
@@ -81,7 +81,7 @@ def faces(judged: Judged, places: Places) -> Iterator[Check]:
     yield worst_of(judged, some, ON_PART, off * 1e3, bound * 1e3, "mm")
     lean = np.arccos(np.clip((normals * some.up).sum(axis=1), -1.0, 1.0))
     aside = np.linalg.norm(away - high[:, None] * normals, axis=1)
-    # a bead that leaves a rim leans on as the face bends there, more where a hollow's radius is less by the height above it
+    # past a rim a bead keeps turning as the face bends there, and more so above a hollow, where the radius is smaller
     room = np.maximum(1.0 - bends * (0.0 if along_z else rise[:, None]), _FOLDED)
     turned = aside * (np.abs(bends) / room).max(axis=1)
     most = judged.problem.process.cones.tilt + AXIS + TURNED + turned
@@ -93,9 +93,9 @@ def faces(judged: Judged, places: Places) -> Iterator[Check]:
 
 
 def _sides(found: MeshedFaces, face: Ints, high: Array) -> Array:
-    """1 (n), or -1 of loose faces that look away from those that they are joined with: tips lie above these, too.
+    """1 (n), or -1 for loose faces that look the other way than the faces they adjoin: tips lie above these, too.
 
-    Not all of them may: one at least looks where the file says.
+    At least one face must look where the file says.
     """
     out = np.ones(len(high))
     flipped = [k for k in np.unique(face).tolist() if not found.sure[k] and np.median(high[face == k]) < 0.0]
@@ -105,7 +105,7 @@ def _sides(found: MeshedFaces, face: Ints, high: Array) -> Array:
 
 
 def _covered(judged: Judged, layers: FaceLayersSpec, found: MeshedFaces, places: Places) -> Check:
-    """What of the faces no bead comes near to."""
+    """The check of the share of the faces that no bead comes near to."""
     spacing = max(layers.source.spacings)
     points, area = found.spread(_SPACED * spacing)
     near = _NEAR.get(layers.source.path, _THROUGH_SAMPLES) * spacing + OFF_LEVEL

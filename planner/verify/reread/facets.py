@@ -1,7 +1,7 @@
-"""Facets of a file seen from above: at which heights a vertical line meets them, and what of it lies inside.
+"""Facets of a file seen from above: the heights at which vertical lines meet them, and which heights lie inside.
 
-Heights come from the facets themselves, by areas of triangles; nothing is smoothed, and no facet is mended. Lengths are
-metres in the part frame.
+Heights come from the facets themselves, by areas of triangles; nothing is smoothed, and no facet is repaired. Lengths
+are in metres in the part frame.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from planner.problem.part import MeshSpec
 if TYPE_CHECKING:
     from shapely import STRtree
 
-_ASIDE = np.array([3.1e-8, 1.7e-8])  # m: so that lines pass beside edges that two facets share
-_UPRIGHT = 1e-12  # m^2: a facet that covers less, seen from above, is a wall
-_SAME = 1e-7  # m: crossings nearer than this are one, of facets that lie on each other
+_ASIDE = np.array([3.1e-8, 1.7e-8])  # m: offset of lines, so that they miss edges shared by two facets
+_UPRIGHT = 1e-12  # m^2: a facet with a smaller area seen from above is a wall
+_SAME = 1e-7  # m: crossings nearer than this count as one, of coinciding facets
 _BLOCK = 200_000  # lines at once
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where lines meet facets, line by line from the lowest on.
+    """Where lines meet facets, line by line from the lowest crossing up.
 
     line   (k) number of the line
     z      (k) [m]
-    up     (k) 1 where the facet looks upwards, -1 where it looks down
+    up     (k) 1 where the facet looks up, -1 where it looks down
     facet  (k) its number
-    first  (n + 1) of each line's crossings
+    first  (n + 1) index of each line's first crossing
     """
 
     line: Ints
@@ -54,10 +54,10 @@ class Crossings:
         return np.where(count > 0, self.z[last], np.nan), np.where(count > 0, self.facet[last], -1)
 
     def inside(self, z: Array) -> tuple[Flags, Flags]:
-        """Which heights z (n), one a line, lie inside, and of which (n) this is known.
+        """Whether heights z (n), one per line, lie inside, and whether that is known (n).
 
-        It is known of a line that enters as often as it leaves. Facets that face the wrong way are told by a line that leaves
-        before it enters; there, and only there, every second crossing counts.
+        It is known for a line that enters as often as it leaves. A line that leaves before it enters reveals facets
+        that face the wrong way; only there, crossings alternate between entering and leaving.
         """
         n, total = len(z), len(self.z)
         count = np.diff(self.first)
@@ -77,7 +77,7 @@ class Crossings:
 
 @dataclass(frozen=True)
 class Facets:
-    """Facets (m, 3, 3) [m], their unit normals (m, 3), and the tree of their boxes, of those (k) that are no walls."""
+    """Facets (m, 3, 3) [m], their unit normals (m, 3), and the tree of the boxes of those (k) that are not walls."""
 
     corners: Array
     normals: Array
@@ -86,7 +86,7 @@ class Facets:
 
     @classmethod
     def of(cls, corners: Array) -> Facets:
-        """Facets as they are."""
+        """From corners (m, 3, 3) [m], unchanged."""
         import shapely
 
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -103,7 +103,7 @@ class Facets:
         order = np.lexsort((z, line))
         line, facet, z = line[order], facet[order], z[order]
         up = np.where(self.normals[facet, 2] > 0.0, 1, -1)
-        again = np.zeros(len(line), dtype=bool)  # a facet that lies on its like
+        again = np.zeros(len(line), dtype=bool)  # crossings of coinciding facets
         again[1:] = (line[1:] == line[:-1]) & (np.diff(z) < _SAME) & (up[1:] == up[:-1])
         line, facet, z, up = (each[~again] for each in (line, facet, z, up))
         return Crossings(line, z, up, facet, np.searchsorted(line, np.arange(len(plane) + 1)))
@@ -122,18 +122,18 @@ class Facets:
         return line[hit] + first, facet[hit], z[hit]
 
     def top(self, plane: Array) -> tuple[Array, Array]:
-        """Heights (n) of the uppermost facets at x, y (n, 2), NaN beside them, and their unit normals (n, 3)."""
+        """Heights (n) of the uppermost facets at x, y (n, 2), NaN for none, and their unit normals (n, 3)."""
         z, facet = self.crossings(plane).top()
         return z, self.normals[facet]
 
 
 def _area(a: Array, b: Array, c: Array) -> Array:
-    """Twice the areas (n), with their sense, of triangles in the plane."""
+    """Twice the signed areas (n) of triangles in the plane."""
     return np.asarray((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
 
 
 def facets_of(spec: MeshSpec) -> Facets:
-    """The facets of a file in the part frame. Raises InputError for a file that cannot be read any more."""
+    """The facets of a file in the part frame. Raises InputError for a file that can no longer be read."""
     return _read(spec, *stamp_of(spec.file))
 
 

@@ -1,7 +1,7 @@
-"""The harmonic field between two surfaces once more, by finite differences on level grids.
+"""The harmonic field between two surfaces, derived again by finite differences on horizontal grids.
 
-Rows of places that stand on each other are cut off where they leave the space between the surfaces, with the field known
-there (Shortley and Weller, 1938). Lengths are metres in the part frame.
+Grid lines are cut off where they leave the space between the surfaces, where the field is known (Shortley and Weller,
+1938). Lengths are in metres in the part frame.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from planner.base.arrays import Array, Flags, Ints
 from planner.verify.reread.slopes import Heights
 
 _COLUMNS = 48  # along the longer side of the body
-_FEWEST = 8  # along the shorter side
-_MOST_COLUMNS = 100  # likewise, with what is beside
-_ROWS = 16  # of places, from surface to surface where these are farthest apart
-_SHARES = np.linspace(0.0, 1.0, 33)  # of the field, whose heights are kept
-_BESIDE = 1.5  # of the greatest height, that the grid reaches beside the body
-_NEIGHBOURS = 40  # by whose heights surfaces go on beside the body
-_SHORTEST = 1e-3  # of a step, to a surface
-_CLOSE = 1e-8  # relative, of the solver
+_FEWEST = 8  # least number along the shorter side
+_MOST_COLUMNS = 100  # along the longer side, with the margins
+_ROWS = 16  # from surface to surface where these are farthest apart
+_SHARES = np.linspace(0.0, 1.0, 33)  # levels of the field whose heights are kept
+_BESIDE = 1.5  # × the greatest height: margin of the grid around the body
+_NEIGHBOURS = 40  # whose heights extend the surfaces beyond the body
+_SHORTEST = 1e-3  # × a step: least distance to a surface
+_CLOSE = 1e-8  # relative tolerance of the solver
 _ACROSS = ((0, 1), (0, -1), (1, 1), (1, -1))  # axis and sense of the steps along level rows
 
 
 @dataclass(frozen=True)
 class LevelsOff:
-    """By how much levels of the field are off an even share of the height: a table (n, m, shares) [m] over a grid that begins
-    at `low` (2), places `pitch` [m] apart."""
+    """Offset of the field's levels from an even share of the height: a table (n, m, shares) [m] over a grid that begins
+    at `low` (2), with places `pitch` [m] apart."""
 
     low: Array
     pitch: float
     table: Array
 
     def at(self, plane: Array, share: Array) -> Array:
-        """At x, y (n, 2) and shares (n) of the way from the lower to the upper surface [m]."""
+        """Offset (n) [m] at x, y (n, 2) and shares (n) of the way from the lower to the upper surface."""
         across = ((plane - self.low) / self.pitch).T
         place = np.vstack([across, np.clip(share, 0.0, 1.0) * (len(_SHARES) - 1)])
         return np.asarray(map_coordinates(self.table, place, order=3, mode="nearest"))
 
 
 def levels_off(lower: Heights, upper: Heights, low: Array, high: Array) -> LevelsOff:
-    """Of the field between two surfaces over a body from low to high (2), where their heights are not NaN."""
+    """`LevelsOff` of the field between two surfaces over a body from low to high (2), where neither is NaN."""
     longest = float((high - low).max())
     counts = np.maximum(np.ceil(_COLUMNS * (high - low) / longest), _FEWEST).astype(int)
     axes = [np.linspace(a, b, 2 * n + 1)[1::2] for a, b, n in zip(low, high, counts, strict=True)]
@@ -82,7 +82,7 @@ def _table(bottom: Array, top: Array, pitch: float, rise: float) -> Array:
 
 
 def _solved(bottom: Array, top: Array, z: Array, inside: Flags, pitch: float, rise: float) -> Array:
-    """The field at the places (n) inside."""
+    """The field at the inside places (n)."""
     number: Ints = np.full(inside.shape, -1)
     number[inside] = np.arange(int(inside.sum()))
     size = int(inside.sum())
@@ -96,7 +96,7 @@ def _solved(bottom: Array, top: Array, z: Array, inside: Flags, pitch: float, ri
         whole = ways[one][1] + ways[other][1]
         for to, length, value in (ways[one], ways[other]):
             weight = 2.0 / (whole * length)
-            weight[np.isnan(value) & (to < 0)] = 0.0  # a side of the grid, through which nothing flows
+            weight[np.isnan(value) & (to < 0)] = 0.0  # no flux through the sides of the grid
             known = to < 0
             right += np.where(known, weight * np.nan_to_num(value), 0.0)
             diagonal += weight
@@ -115,13 +115,13 @@ def _solved(bottom: Array, top: Array, z: Array, inside: Flags, pitch: float, ri
 
 Way = tuple[
     Ints, Array, Array
-]  # the next place, or -1; how far it is or the surface before it [m]; the field there, if known
+]  # the next place, or -1; distance to it, or to a surface before it [m]; the field there, if known
 
 
 def _upwards(
     number: Ints, inside: Flags, at: tuple[Ints, ...], here: Array, bottom: Array, top: Array, rise: float, sense: int
 ) -> Way:
-    """From each place (n) to the one above it, or below."""
+    """From each place (n) to the one above or below it."""
     i, j, k = at
     there = np.clip(k + sense, 0, inside.shape[2] - 1)
     to = np.where((there != k) & inside[i, j, there], number[i, j, there], -1)
@@ -132,7 +132,7 @@ def _upwards(
 def _sideways(
     number: Ints, at: tuple[Ints, ...], here: Array, bottom: Array, top: Array, pitch: float, axis: int, sense: int
 ) -> Way:
-    """From each place (n) to the next one on its level row."""
+    """From each place (n) to the next one in its horizontal row."""
     there = [at[0].copy(), at[1].copy()]
     there[axis] = there[axis] + sense
     beside = (there[axis] < 0) | (there[axis] >= number.shape[axis])

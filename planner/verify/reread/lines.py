@@ -1,4 +1,4 @@
-"""Lines of the plane: places along them, and how far points are from them."""
+"""Polylines in the plane: places along them, and distances of points from them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array
 from planner.verify.reread.places import APART, by_number
 
-_PIECE = 16  # chords of a line in the tree of lines
+_PIECE = 16  # chords per entry of the tree of lines
 
 
 def dots_of_lines(lines: Sequence[Array]) -> tuple[Array, Array]:
-    """Places (n, 2) along lines, and the length (n) [m] that each stands for."""
+    """Places (n, 2) along lines, and the length (n) [m] that each represents."""
     dots, weight = [], []
     for line in lines:
         step = np.hypot(*np.diff(line, axis=0).T)
@@ -30,7 +30,7 @@ def dots_of_lines(lines: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def distances_from_lines(lines: Sequence[Array], points: Array) -> Array:
-    """Distances (n) of points (n, 2) from the nearest of some lines."""
+    """Distances (n) of points (n, 2) from the nearest line."""
     import shapely
 
     pieces = [line[i : i + _PIECE + 1] for line in lines for i in range(0, len(line) - 1, _PIECE)]
@@ -45,8 +45,7 @@ def distances_from_lines(lines: Sequence[Array], points: Array) -> Array:
 
 
 def between_ends(lines: Sequence[Array], join: float, least: float) -> list[Array]:
-    """Straight lines longer than `least` [m] between ends of lines (n, 2) that lie within `join` [m] of each other, or of ends
-    that do."""
+    """Straight lines longer than `least` [m] between ends of lines (n, 2) linked by steps of up to `join` [m]."""
     ends = np.concatenate([line[[0, -1]] for line in lines])
     near = cKDTree(ends).query_pairs(join, output_type="ndarray")
     links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(ends), len(ends)))

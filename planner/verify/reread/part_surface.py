@@ -1,6 +1,6 @@
-"""The part's surface once more, from the problem: formulas of exact bodies, and distances from facets by coal.
+"""The part's surface, derived again from the problem: formulas of exact bodies, and distances from facets by coal.
 
-What is laid in layer k is to lie k + 1 layer heights above it. Lengths are metres, in the part frame.
+Beads of layer k must lie k + 1 layer heights above it. Lengths are in metres, in the part frame.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from planner.problem.mesh_files import read_corners
 from planner.problem.part import MeshSpec, PartSpec
 from planner.verify.bodies import triangle_model
 
-_STEPS = 60  # towards the foot of a perpendicular; each gains a factor of the height over the radius of curvature
+_STEPS = 60  # most steps to the foot of a perpendicular; each reduces the error by height / radius of curvature
 _CLOSE = 1e-9  # m
 
 Level = Callable[
@@ -48,7 +48,7 @@ def level_of(part: PartSpec) -> Level | None:
 
 
 def _round(radius: float, centre: Array, along: Array) -> Level:
-    """A ball, or of a cylinder the wall, where `along` (3) leaves its axis out."""
+    """A ball, or the wall of a cylinder if `along` (3) leaves out its axis."""
 
     def level(p: Array) -> tuple[Array, Array]:
         away = (p - centre) * along
@@ -80,7 +80,7 @@ def _waves(amplitude: float, wavelength: float, direction: float, centre: Array)
 
 
 def feet(level: Level, tips: Array, rise: Array) -> tuple[Array, Array, Array]:
-    """Feet (n, 3) of tips (n, 3) that are `rise` (n) [m] above a surface along its normal, how far they are off it (n) [m],
+    """Feet (n, 3), `rise` (n) [m] below tips (n, 3) along a surface's normal; how far they are off the surface (n) [m];
     and the outward unit normals (n, 3) there."""
     foot = tips
     for _ in range(_STEPS):
@@ -95,7 +95,7 @@ def feet(level: Level, tips: Array, rise: Array) -> tuple[Array, Array, Array]:
 
 
 def nearest_on(level: Level, points: Array) -> Array:
-    """Places (n, 3) of a surface nearest to points (n, 3), by steps onto it and along it towards the point's perpendicular."""
+    """Places (n, 3) on a surface nearest to points (n, 3), by steps onto it and along it towards the perpendicular."""
     foot = points.copy()
     for _ in range(_STEPS * _STEPS):
         value, gradient = level(foot)
@@ -115,8 +115,7 @@ def _unit(vectors: Array) -> Array:
 
 
 def distances_from_facets(spec: MeshSpec, points: Array) -> Array:
-    """Distances (n) [m] of points (n, 3) from a file of facets, whichever side of them they lie on. Raises InputError
-    for a file that cannot be read any more."""
+    """Unsigned distances (n) [m] of points (n, 3) from a file of facets. Raises InputError if it cannot be read."""
     model = _facets(spec, *stamp_of(spec.file))
     dot, still, request, at = coal.Sphere(_CLOSE), coal.Transform3s(), coal.DistanceRequest(), coal.Transform3s()
     out = np.empty(len(points))
@@ -128,7 +127,7 @@ def distances_from_facets(spec: MeshSpec, points: Array) -> Array:
 
 @lru_cache(maxsize=2)
 def _facets(spec: MeshSpec, changed: int, size: int) -> coal.BVHModelOBBRSS:
-    """A file's facets in the part frame; `changed` and `size` tell one file from another."""
+    """A file's facets in the part frame; `changed` and `size` identify the file."""
     corners = read_corners(spec.file, partial(InputError, file=spec.file), spec.unit, spec.scale).reshape(-1, 3)
     placed = Rotation.from_euler("xyz", spec.rpy).apply(np.array(corners)) + np.asarray(spec.origin)
     return triangle_model(placed, np.arange(len(placed)).reshape(-1, 3))

@@ -1,4 +1,4 @@
-"""Places of the executed motion at which what is printed is looked at, and checks that name the worst of them."""
+"""Places of the executed motion at which the print is checked, and checks that name the worst of them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from planner.base.arrays import Array, Flags, Ints
 from planner.plan import Check
 from planner.verify.checks import DIGITS, EVERYWHERE, Judged, place
 
-APART = 0.2e-3  # m between the places of a bead, and of what is drawn, that are looked at
-_OF_WIDTH = 0.5  # of a bead's width between its places at most, lest the lines beside a lost one count as it
-OFF_LEVEL = 2e-5  # m: layers off their height, what interpolation between waypoints and the tip's own tolerance add
-SHORT = 0.001  # of the length, besides what may be left out: ends of pieces and rounded corners
-_CORNERS = 0.005  # of a layer, besides what may be left out: beside rounded turns and narrow ends
-AXIS = np.radians(0.05)  # beyond the nozzle's cone
+APART = 0.2e-3  # m between the places checked along a bead and along drawn lines
+_OF_WIDTH = 0.5  # × a bead's width: most between its places, so that neighbouring lines do not stand in for a lost one
+OFF_LEVEL = 2e-5  # m: layers off their height, for interpolation between waypoints and the tip's own tolerance
+SHORT = 0.001  # × the length, on top of what may be left out: ends of pieces and rounded corners
+_CORNERS = 0.005  # × a layer, on top of what may be left out: at rounded turns and narrow ends
+AXIS = np.radians(0.05)  # tolerance on top of the nozzle's cone
 ON_PART, NORMAL = "layers on the part", "nozzle normal to the part"
 DRAWN, WHOLE = "print on the drawn path", "drawn path left out"
 INSIDE, FILLED = "beads within the part", "layers filled"
@@ -27,7 +27,7 @@ INSIDE, FILLED = "beads within the part", "layers filled"
 class Places:
     """Places of the executed motion (n) on beads: tip (n, 3), outward axis (n, 3), bead and layer, and the sample.
 
-    On a print that was scanned, the tip is where it would be if that were as it was drawn.
+    On a scanned print, the tip is where it would be if that print were exactly as drawn.
     """
 
     tip: Array
@@ -37,16 +37,16 @@ class Places:
     sample: Ints
 
     def some(self, which: Ints | Flags) -> Places:
-        """Some of them."""
+        """A selection of them."""
         return Places(*(values[which] for values in vars(self).values()))
 
     def few(self, count: int) -> Places:
-        """So many of them at most, even over the print."""
+        """At most `count` of them, evenly spread over the print."""
         return self.some(np.unique(np.linspace(0, len(self.tip) - 1, count).astype(np.int64)))
 
 
 def places_of(judged: Judged) -> Places:
-    """Samples of beads, no nearer to each other than need be."""
+    """Samples on beads, thinned out to the spacing needed."""
     t, motion = judged.trajectory, judged.motion
     at = np.flatnonzero(t.deposit)
     step = np.floor(t.s[at] / _apart(judged))
@@ -61,27 +61,27 @@ def places_of(judged: Judged) -> Places:
 
 
 def _apart(judged: Judged) -> float:
-    """How far apart places of a bead are to be, at most [m]."""
+    """Greatest distance between places of a bead [m]."""
     return min(APART, _OF_WIDTH * judged.problem.process.bead.width)
 
 
 def between(judged: Judged) -> float:
-    """How far apart places of the motion may be [m], and the ends of a bead from the first and the last of them."""
+    """Greatest distance [m] between places of the motion, and from a bead's ends to its first and last places."""
     return max(_apart(judged), float(judged.commanded.max()) * judged.trajectory.dt)
 
 
 def begun_layers(judged: Judged) -> set[int]:
-    """Layers of which a print that is resumed lays only the rest."""
+    """Layers begun before a resumed print, which lays at most the rest of them."""
     return {bead.layer for bead in judged.toolpath.beads[: judged.trajectory.first_bead]}
 
 
 def may_be_left(judged: Judged, crumbs: float) -> float:
-    """The share of the length that may be missing: what notes tell of, up to what the problem allows, and next to nothing."""
+    """The share of the length that may be missing: what the notes report, up to what the problem allows, plus SHORT."""
     return min(judged.toolpath.told.left_out, crumbs) + SHORT
 
 
 def by_number(number: Ints) -> Iterator[tuple[int, Ints]]:
-    """The numbers there are, and the places (k) of each."""
+    """Each distinct number, and the places (k) that have it."""
     order = np.argsort(number, kind="stable")
     found, first = np.unique(number[order], return_index=True)
     yield from zip(found.tolist(), np.split(order, first[1:]), strict=True)
@@ -93,7 +93,7 @@ def worst_of(judged: Judged, places: Places, name: str, values: Array, limit: fl
 
 
 def beyond_limits(judged: Judged, places: Places, name: str, values: Array, limits: Array, unit: str) -> Check:
-    """The check that no value (n) exceeds its own limit (n), at the place where it does most, or comes nearest to it."""
+    """The check that no value (n) exceeds its own limit (n), at the place that exceeds it most or is nearest to it."""
     i = int(np.argmax(np.where(np.isnan(values), np.inf, values - limits)))
     value, limit, sample = float(values[i]), float(limits[i]), int(places.sample[i])
     ok = bool(value <= limit * (1.0 + DIGITS))
@@ -101,17 +101,17 @@ def beyond_limits(judged: Judged, places: Places, name: str, values: Array, limi
 
 
 def not_read(why: str) -> Check:
-    """What stands in the place of checks of a file that is not read again."""
+    """The check in place of those of a file that is not read again."""
     return Check(ON_PART, 0.0, 0.0, "mm", True, f"not read again: {why}")
 
 
 @dataclass(frozen=True)
 class AskedPlaces:
-    """Places (n, 3) of one layer's surface that lie half a bead or more within its outline, and are to be filled.
+    """Places (n, 3) of one layer's surface, half a bead or more within its outline, that must be filled.
 
-    area     (n,) that each stands for [m^2]
-    near     (n,) m from a bead's middle line, within which a place counts as filled
-    whole    area of the layer [m^2], of which what is not filled is a share
+    area     (n,) that each represents [m^2]
+    near     (n,) a place counts as filled if this near to a bead's middle line [m]
+    whole    area of the layer [m^2], which unfilled shares refer to
     """
 
     points: Array
@@ -121,9 +121,10 @@ class AskedPlaces:
 
 
 def filled(places: Places, asked: Mapping[int, AskedPlaces], may: float, corners: float = _CORNERS) -> Check:
-    """The share of a layer that no bead comes near to, in the worst layer, or where a share may be missing, of all layers.
+    """The unfilled share of the worst layer, or of all layers together if a share may be missing.
 
-    may: share of all of them that notes tell of; corners: share of a layer that rounded turns and narrow ends leave
+    may: share of all layers that the notes report as missing; corners: share of a layer that rounded turns and narrow
+    ends leave unfilled
     """
     printed = dict(by_number(places.layer))
     most = total = whole = 0.0

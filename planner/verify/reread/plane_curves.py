@@ -1,7 +1,8 @@
-"""Drawings, patterns and NURBS curves once more, as lines of the plane that curves are projected from.
+"""Drawings, patterns and NURBS curves read again, as polylines in the plane from which curves are projected.
 
-Files are read by other libraries' interpreters, patterns by the geometry of their cells, NURBS by de Boor's recursion:
-nothing here knows how the planner reads them. Lengths are metres; x to the right, y up, the middle at the origin.
+Files are read by other libraries' interpreters, patterns follow from the geometry of their cells, NURBS from de Boor's
+recursion: nothing here depends on how the planner reads them. Lengths are in metres; x to the right, y up, the middle
+at the origin.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from planner.base.isolated import Killed, ask
 from planner.problem.cad_files import is_cad, is_iges
 from planner.problem.drawings import CurvesSpec, DxfSpec, NurbsSpec, PatternSpec, SvgSpec
 
-_STEPS, _MOST_STEPS = 96, 10_000  # chords of a curved piece of an SVG path
-_OFF = 1e-5  # m by which they may leave it, beyond which there are more
-_FINE = 1e-5  # of a DXF curve's size, by which its chords may be off
+_STEPS, _MOST_STEPS = 96, 10_000  # usual and greatest number of chords of a curved piece of an SVG path
+_OFF = 1e-5  # m: such chords may lie this far off; otherwise there are more
+_FINE = 1e-5  # × a DXF curve's size: its chords may lie this far off
 _SPANS = 200  # chords between the knots of a NURBS curve
-# What svgelements does not cut by, and what it draws where it stands instead of where it is used.
+# Features that svgelements ignores (clipping), or draws where they are defined instead of where they are used.
 _HIDDEN = {"clip paths or masks": ("<clippath", "<mask", ":clippath", ":mask"), "symbols": ("<symbol", ":symbol")}
 _PATHS = re.compile(rb"""(\s(?:d|points)\s*=\s*)("[^"]*"|'[^']*')""")
 _NO_DATA = re.compile(rb"""(<(?:\w+:)?path)(?=[\s/>])(?!(?:[^<>"']|"[^"]*"|'[^']*')*?\sd\s*=)""")
@@ -36,17 +37,17 @@ _UNPAINTED = ("none", "transparent")
 _SHEETS = re.compile(rb"<(?:\w+:)?style\b[^>]*>(.*?)</(?:\w+:)?style>", re.DOTALL)
 _BESIDE_RULES = re.compile(rb"/\*.*?\*/|<!\[CDATA\[|\]\]>", re.DOTALL)
 _RULE = re.compile(rb"([^{}]*)\{([^{}]*)\}")
-_SELECTOR = re.compile(rb"[\w-]+|#[\w-]+|[\w-]*\.[\w-]+")  # what svgelements reads right
+_SELECTOR = re.compile(rb"[\w-]+|#[\w-]+|[\w-]*\.[\w-]+")  # those that svgelements reads correctly
 _OF_SIGHT = re.compile(rb"(?<![\w-])(?:fill|stroke|display|visibility|(?:fill|clip)-rule|(?:fill-)?opacity)\s*:")
 _WORD = re.compile(rb"[\w-]+")
-_ROUNDED = 1e-12  # of coordinates: points so near are one
+_ROUNDED = 1e-12  # × coordinates: points this near are one
 _INSUNITS = {1: 25.4, 2: 304.8, 3: 1609344.0, 4: 1.0, 5: 10.0, 6: 1e3, 7: 1e6, 8: 25.4e-6, 9: 0.0254, 10: 914.4}  # mm
 _INSUNITS |= {11: 1e-7, 12: 1e-6, 13: 1e-3, 14: 100.0, 15: 1e4, 16: 1e5}
 _INSUNITS |= {21: 304.8006096, 22: 25.4000508, 23: 914.4018288, 24: 1609347.2187}  # US survey foot, inch, yard, mile
 _LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POLYLINE", "HELIX"}
 _UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}  # mm
 _LONGEST = 300  # s that Open CASCADE may take
-_ROOM = 1e-9  # m: a cell that just fits, fits
+_ROOM = 1e-9  # m: tolerance for cells that just fit
 
 Curves = tuple[Array, ...]
 
@@ -59,12 +60,12 @@ class NotRead:
 
 
 def gone(error: OSError) -> NotRead:
-    """That a file which was planned from is not there any more, or cannot be read."""
+    """The reason that a file used for planning is gone or can no longer be read."""
     return NotRead(f"{Path(error.filename or '').name}: {error.strerror}")
 
 
 def read_again(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec) -> Curves | NotRead:
-    """Lines (n, 2), or of curves in space (n, 3), of a source [m], chords within a hundredth of a millimetre of its curves."""
+    """Polylines (n, 2), or (n, 3) for curves in space, of a source [m], with chords within 0.01 mm of its curves."""
     try:
         if isinstance(source, SvgSpec):
             stamp = source.svg.stat()
@@ -83,7 +84,7 @@ def read_again(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec)
 
 @lru_cache(maxsize=4)
 def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
-    """The visible outlines of a drawing by svgelements, `width` [m] wide; `changed` and `size` tell one file from another."""
+    """The visible outlines of a drawing by svgelements, `width` [m] wide; `changed` and `size` identify the file."""
     text = path.read_bytes()
     small = text.lower()
     for what, names in _HIDDEN.items():
@@ -94,7 +95,7 @@ def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
         if named is None:
             return NotRead("its style sheet shows and hides by selectors that are not read")
         if any(word[0] in named for word in _WORD.finditer(text, 0, sheet.start())):
-            return NotRead("its style sheet stands behind what it shows and hides")
+            return NotRead("its style sheet comes after the elements that it shows and hides")
     from svgelements import SVG, Shape
     from svgelements import Path as Outline
 
@@ -117,11 +118,11 @@ def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
 
 
 def _named(sheet: bytes) -> set[bytes] | None:
-    """The tags, ids and classes of which a style sheet says what is seen; None where a rule may be read wrong."""
+    """The tags, ids and classes whose visibility a style sheet sets; None if a rule may be misread."""
     rules = _RULE.findall(_BESIDE_RULES.sub(b"", sheet))
     said = [each.strip() for selectors, body in rules if _OF_SIGHT.search(body) for each in selectors.split(b",")]
     if not (all(_SELECTOR.fullmatch(each) for each in said) and all(body.strip() for _, body in rules)):
-        return None  # behind an empty rule svgelements loses one
+        return None  # svgelements loses the rule after an empty one
     return {each.removeprefix(b"#").rpartition(b".")[2] for each in said}
 
 
@@ -137,8 +138,11 @@ def _is_line(points: Array) -> bool:
 
 
 def _as_parsed(text: bytes) -> bytes:
-    """A drawing that svgelements reads right: it ends a path at a number like "1.", fails at one without data, has S go on from
-    Q or T, and T from C or S, unless a line is between them, and takes what follows the address of a font for a remark."""
+    """The drawing changed so that svgelements reads it correctly.
+
+    svgelements ends a path at a number like "1.", fails at a path without data, continues S from Q or T, and T from C
+    or S, unless a line is between them, and treats whatever follows the address of a font as a comment.
+    """
 
     def mended(found: re.Match[bytes]) -> bytes:
         data = re.sub(rb"([0-9]\.)(?![0-9])", rb"\g<1>0", found[2])
@@ -148,7 +152,7 @@ def _as_parsed(text: bytes) -> bytes:
 
 
 def _pieces(part: Iterable[Any]) -> list[tuple[Any, Array]]:
-    """The segments of a subpath that are curves, None for those that are straight, and points (n, 2) along each."""
+    """The segments of a subpath, with None in place of straight ones, and points (n, 2) along each."""
     from svgelements import Close, Line, Move
 
     out: list[tuple[Any, Array]] = []
@@ -170,7 +174,7 @@ def _along_segment(segment: Any, steps: int) -> Array:
 
 
 def _finer(segment: Any, points: Array, off: float) -> Array:
-    """Points (n, 2) along a segment whose chords leave it by no more than `off`; of a straight one the same."""
+    """Points (n, 2) along a segment, with chords at most `off` from it; those of a straight one are kept."""
     if segment is None:
         return points
     bulge = float(np.linalg.norm(np.diff(points, 2, axis=0), axis=1).max()) / 8.0
@@ -182,7 +186,7 @@ def _finer(segment: Any, points: Array, off: float) -> Array:
 def _dxf(
     path: Path, width: float | None, unit: str | None, names: tuple[str, ...] | None, changed: int, size: int
 ) -> Curves | NotRead:
-    """The lines of a drawing by ezdxf's own paths, blocks taken apart; in its unit, or `width` [m] wide."""
+    """The lines of a drawing by ezdxf's own paths, blocks exploded; in its unit, or scaled to `width` [m]."""
     from ezdxf import recover
     from ezdxf.lldxf.const import DXFError
 
@@ -207,14 +211,14 @@ def _dxf(
 
 
 def _along(entity: Any) -> Array:
-    """Points (n, 2) along an entity: ezdxf's own path, but of splines, which that only comes near to, by de Boor's recursion."""
+    """Points (n, 2) along an entity: ezdxf's own path, or de Boor's recursion for splines, which that only nears."""
     from ezdxf.path import make_path
 
     if entity.dxftype() == "SPLINE":
         tool = entity.construction_tool()
         places = np.array([(p.x, p.y) for p in tool.control_points])
         return _nurbs(tool.degree, places, tool.weights() or None, tool.knots())
-    if entity.dxftype() == "POLYLINE":  # flag 16: a corner of a spline's frame, beside its own vertices
+    if entity.dxftype() == "POLYLINE":  # flag 16: a control point of a spline, stored along with its own vertices
         entity.vertices[:] = [vertex for vertex in entity.vertices if not vertex.dxf.flags & 16] or entity.vertices
     path = make_path(entity)
     if not len(path):
@@ -226,7 +230,7 @@ def _along(entity: Any) -> Array:
 def _entities(
     container: Iterable[Any], frozen: Collection[str], inherited: str | None = None
 ) -> Iterator[tuple[Any, str]]:
-    """The entities that are lines and seen, blocks taken apart, each with the layer that it is on."""
+    """The visible entities that are lines, blocks exploded, each with the layer that it is on."""
     for entity in container:
         layer = entity.dxf.layer.lower()
         if layer == "0" and inherited is not None:
@@ -241,12 +245,12 @@ def _entities(
 
 
 def _once(lines: Iterable[tuple[str, Array]]) -> list[Array]:
-    """Lines (n, 2), each with its layer, without exact copies of others of that layer, either way round."""
+    """Lines (n, 2) of layers, without exact copies within a layer, in either direction."""
     return list({(layer, min(line.tobytes(), line[::-1].tobytes())): line for layer, line in lines}.values())
 
 
 def _as_wide(lines: Sequence[Array], width: float, sense: Array) -> Curves | NotRead:
-    """Lines, so large that they are `width` [m] wide; sense (2) of their axes."""
+    """Lines scaled to `width` [m] and centred; sense (2): signs of their axes."""
     lines = [line for line in lines if len(line) > 1]
     if not lines:
         return NotRead("the drawing has no lines")
@@ -255,7 +259,7 @@ def _as_wide(lines: Sequence[Array], width: float, sense: Array) -> Curves | Not
 
 
 def _centred(lines: Sequence[Array], scale: Array) -> Curves:
-    """Lines (n, 2) in metres, the middle of their box at the origin."""
+    """Lines (n, 2) scaled to metres, with the middle of their bounding box at the origin."""
     every = np.concatenate(lines)
     middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
     return tuple((line - middle) * scale for line in lines)
@@ -268,7 +272,7 @@ def _inside(spec: PatternSpec, points: Array) -> Array:
 
 
 def _honeycomb(spec: PatternSpec) -> Curves:
-    """All walls of the regular hexagons that lie in the outline, a cell's middle at the origin."""
+    """All walls of the regular hexagons within the outline, with a cell's middle at the origin."""
     side = spec.cell / np.sqrt(3.0)
     turns = np.radians(60.0 * np.arange(7))
     hexagon = side * np.column_stack([np.cos(turns), np.sin(turns)])
@@ -280,7 +284,7 @@ def _honeycomb(spec: PatternSpec) -> Curves:
 
 
 def _squares(spec: PatternSpec) -> Curves:
-    """All sides of the squares that lie in the outline."""
+    """All sides of the squares within the outline."""
     count = (np.asarray(spec.size) / spec.cell + _ROOM).astype(int)
     x, y = np.meshgrid(*(spec.cell * (np.arange(n) - 0.5 * n) for n in count))
     corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]) * spec.cell
@@ -289,7 +293,7 @@ def _squares(spec: PatternSpec) -> Curves:
 
 
 def _zigzag(spec: PatternSpec) -> Curves:
-    """Level lines, joined at alternate ends."""
+    """Lines along x, joined at alternate ends."""
     rows = int(spec.size[1] / spec.cell + _ROOM) + 1
     y = spec.cell * (np.arange(rows) - 0.5 * (rows - 1))
     x = np.full(rows, 0.5 * spec.size[0])
@@ -301,7 +305,7 @@ def _zigzag(spec: PatternSpec) -> Curves:
 
 
 def _concentric(spec: PatternSpec) -> Curves:
-    """The outline, and inwards of it its likes, each a cell narrower to all sides."""
+    """The outline, and copies inside it, each a cell narrower on all sides."""
     turns = np.linspace(0.0, 2.0 * np.pi, 4 * _STEPS + 1)
     round_ = np.column_stack([np.cos(turns), np.sin(turns)])
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
@@ -321,7 +325,7 @@ _PATTERNS: dict[str, Callable[[PatternSpec], Curves]] = {
 
 
 def _nurbs_file(path: Path) -> Curves | NotRead:
-    """The curves of a JSON file, by Python's own reader, or of a STEP or IGES file, as Open CASCADE divides them."""
+    """The curves of a JSON file, by Python's own reader, or of a STEP or IGES file, by Open CASCADE."""
     if path.suffix.lower() != ".json" and is_cad(path, path.read_bytes()):
         return _cad_file(path)
     try:
@@ -348,8 +352,8 @@ def _cad_file(path: Path) -> Curves | NotRead:
 
 
 def _nurbs(p: int, points: Array, given: Sequence[float] | None, breaks: Sequence[float] | None) -> Array:
-    """Points (n, 2 or 3) of a rational B-spline curve of degree p, by de Boor's recursion in homogeneous coordinates; with
-    its weights and knots, where they are given."""
+    """Points (n, 2 or 3) of a rational B-spline curve of degree p, by de Boor's recursion in homogeneous coordinates;
+    given, breaks: its weights and knots; by default equal weights and uniform clamped knots."""
     weights = np.ones(len(points)) if given is None else np.asarray(given, dtype=float)
     if breaks is None:
         knots = np.concatenate([np.zeros(p), np.linspace(0.0, 1.0, len(points) - p + 1), np.ones(p)])
@@ -360,8 +364,8 @@ def _nurbs(p: int, points: Array, given: Sequence[float] | None, breaks: Sequenc
 
 
 def _spans(knots: Array, control: Array, p: int) -> Iterator[Array]:
-    """Points of each span between different knots, both ends included; control (n, 3 or 4): weight times x, y and in space
-    z, and weight."""
+    """Points of each span between distinct knots, including both ends; control (n, 3 or 4): weight times x, y and, in
+    space, z, then the weight."""
     for k in range(p, len(control)):
         if knots[k + 1] <= knots[k]:
             continue

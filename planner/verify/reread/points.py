@@ -1,7 +1,7 @@
-"""Files that say point by point what is printed, read once more: waypoints, and the extruding moves of planar G-code.
+"""Files that give the print point by point, read again: waypoints, and the extruding moves of planar G-code.
 
-Both are read in a few lines that know nothing of the planner's readers: numbers of a table, and a machine with a position,
-an extruder and their modes. Lengths are metres, in the part frame.
+Both are read in a few lines, independent of the planner's readers: as numbers in a table, and by a machine with a
+position, an extruder and their modes. Lengths are in metres, in the part frame.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from planner.base.arrays import Array, Flags, Ints
 from planner.problem.layers import GcodeSpec, WaypointsSpec
 from planner.verify.reread.plane_curves import NotRead, gone
 
-_LONG = 10.0  # median steps, beyond which a step between waypoints lays nothing
-_STILL = 1e-7  # m: a waypoint that is no farther from the one before repeats it
-_BEND = 0.2  # of a step: an arc that turns by 90 degrees from waypoint to waypoint leaves its chord by as much
-_ARC, _OFF = 64, 5e-3  # chords of an arc, at least, and mm that they may be off it
-_LEVEL = 5e-3  # mm by which heights are rounded
-_SEMICOLONS = 5  # in a line, from which on they separate values
+_LONG = 10.0  # × the median step: a longer step between waypoints need not be printed
+_STILL = 1e-7  # m: a waypoint no farther from the one before repeats it
+_BEND = 0.2  # × a step: an arc that turns by 90 degrees between waypoints leaves its chord by this much
+_ARC, _OFF = 64, 5e-3  # least number of chords of an arc, and mm that they may lie off it
+_LEVEL = 5e-3  # mm: rounding of heights
+_SEMICOLONS = 5  # in a line: with at least this many, they separate values
 _UNIT = r"(?:[ _]*[(\[]?\s*m{1,2}\s*[)\]]?)?"
 _COLUMN = re.compile(rf"([xyz]){_UNIT}", re.IGNORECASE)
 _EXPORTED = re.compile(rf"(?:p|pos|position|points?|tcp)[ _:.-]?([xyz012]){_UNIT}", re.IGNORECASE)  # pos_x, Points:0
@@ -33,7 +33,7 @@ _USUAL = re.compile(r"^;\s*(?:Layer height:|layer_height =)\s*(\d*\.?\d+)", re.M
 _HEIGHT = re.compile(r";\s*(?:HEIGHT:|LAYER_HEIGHT:|tool H|BEGIN_LAYER_\w+ z=\S+ z_thickness=)\s*(\d*\.?\d+)")
 _FEATURE = re.compile(r";\s*(?:TYPE|FEATURE)\s*:\s*(.+)", re.IGNORECASE)
 _CLEANING = re.compile(r";\s*(CP [A-Z ]+?|FLUSH|WIPE_TOWER)[ _](START|END)\b")  # where a tool is changed or cleaned
-# Words in names of features, as slicers write them, by what may be left out; start code and purge lines always may.
+# Words in slicers' names of features, by what may be left out; start code and purge lines always may.
 _LEFT_OUT = {
     "purge": ("purge", "prime", "wipe", "ooze", "flush", "custom"),
     "skirt": ("skirt", "brim"),
@@ -46,8 +46,8 @@ _LEFT_OUT = {
 class Segments(NamedTuple):
     """Straight pieces from `start` (n, 3) to `end` (n, 3) [m].
 
-    needed  which of them (n) must be printed; None where no name of a feature says so
-    bend    share of a piece's length by which a smooth curve through its ends may leave it
+    needed  whether each (n) must be printed; None where no names of features decide that
+    bend    × a piece's length: a smooth curve through its ends may leave it by this much
     """
 
     start: Array
@@ -67,7 +67,7 @@ def segments_of(source: WaypointsSpec | GcodeSpec) -> Segments | NotRead:
 
 
 def _moves(source: GcodeSpec) -> Segments | NotRead:
-    """The moves of a file that extrude."""
+    """The extruding moves of a file."""
     stamp = source.gcode.stat()
     found = _gcode(source.gcode, stamp.st_mtime_ns, stamp.st_size)
     if isinstance(found, NotRead):
@@ -82,7 +82,7 @@ def _moves(source: GcodeSpec) -> Segments | NotRead:
 
 
 def _waypoints(source: WaypointsSpec) -> Segments | NotRead:
-    """The steps from waypoint to waypoint, without those that repeat the one before."""
+    """The steps from waypoint to waypoint, without waypoints that repeat the one before."""
     given = source.waypoints
     if isinstance(given, Path):
         stamp = given.stat()
@@ -106,7 +106,7 @@ def _waypoints(source: WaypointsSpec) -> Segments | NotRead:
 
 @lru_cache(maxsize=2)
 def _table(path: Path, changed: int, size: int) -> Array | NotRead:
-    """The points (n, 3) of a file of waypoints, in its own unit and axes; `changed` and `size` tell one file from another."""
+    """The points (n, 3) of a file of waypoints, in its own unit and axes; `changed` and `size` identify the file."""
     if zipfile.is_zipfile(path):
         with np.load(path, allow_pickle=False) as arrays:
             places = _places(arrays.files)
@@ -121,9 +121,9 @@ def _table(path: Path, changed: int, size: int) -> Array | NotRead:
     columns, commas = [0, 1, 2], False
     for line in filter(str.strip, lines):
         remark = line.lstrip()[0] in "#/%;"
-        if not remark and line.count(";") >= _SEMICOLONS:  # which stand where the comma is decimal
+        if not remark and line.count(";") >= _SEMICOLONS:  # used where the comma is the decimal separator
             line = line.replace(",", ".").replace(";", ",")
-        head = re.sub(r"\s+(?=[(\[])", "", line.strip(" \t#/%;"))  # units in brackets belong to the word before
+        head = re.sub(r"\s+(?=[(\[])", "", line.strip(" \t#/%;"))  # units in brackets belong to the preceding word
         named = None if rows else _places(head.split(",") if "," in head else head.split())
         if named is not None:
             columns, commas = named, "," in head
@@ -137,7 +137,7 @@ def _table(path: Path, changed: int, size: int) -> Array | NotRead:
 
 
 def _places(names: Sequence[str]) -> list[int] | None:
-    """Where x, y and z are among names of columns; those that are called so go before longer names of the same."""
+    """Indices of x, y and z among names of columns; these very names take precedence over longer ones."""
     for pattern in (_COLUMN, _EXPORTED):
         found = {}
         for i, name in enumerate(names):
@@ -151,19 +151,19 @@ def _places(names: Sequence[str]) -> list[int] | None:
 
 @lru_cache(maxsize=1)
 def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str, ...]] | NotRead:
-    """Extruding moves: their ends (n, 3) [m], and the name of the feature that each is part of, in small letters."""
+    """Extruding moves: their starts and ends (n, 3) [m], and the feature that each is part of, in lower case."""
     text = path.read_text(encoding="utf-8", errors="replace")
     if not re.search(r"^\s*M8[23]\b", text, re.MULTILINE):
         return NotRead("the file does not say whether E is relative")
     at, e, unit = np.zeros(3), 0.0, 1.0
-    zero = np.zeros(3)  # where absolute moves count from
-    homed = np.zeros(3, dtype=bool)  # axes whose place is not known since
+    zero = np.zeros(3)  # origin of absolute moves
+    homed = np.zeros(3, dtype=bool)  # axes homed, whose position is unknown since
     absolute, name = True, ""
-    said: bool | None = None  # whether E is absolute, as M82 or M83 says; before, it is as the axes are
+    said: bool | None = None  # whether E is absolute, by M82 or M83; before either it follows the axes
     starts: list[Array] = []
     ends: list[Array] = []
     names: list[str] = []
-    runs: list[tuple[int, float]] = []  # the uninterrupted run that each move is of, and the height of its layer
+    runs: list[tuple[int, float]] = []  # uninterrupted run that each move belongs to, and the height of its layer
     usual = float(match[1]) if (match := _USUAL.search(text)) else 0.0
     run, foot, height = 0, 0.0, usual
     cleaning: set[str] = set()
@@ -188,8 +188,8 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
             homed |= named | ~named.any()
             zero[homed] = 0.0
         elif code == "G92":
-            given = given | (len(words) == 1)  # the code alone: all axes
-            stays = given & ~homed & bool(starts)  # what is printed already
+            given = given | (len(words) == 1)  # the code alone means all axes
+            stays = given & ~homed & bool(starts)  # keeps the print so far where it is
             zero = np.where(stays, at - target, zero)
             at = np.where(given & ~stays, target + zero, at)
             e = words.get("E", 0.0 if len(words) == 1 else e)
@@ -206,7 +206,7 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
                 ends += way[1:]
                 names += ["purge" if cleaning else name] * (len(way) - 1)
                 begun = bool(runs) and runs[-1][0] == run
-                if begun and there[2] > at[2] == foot:  # what was level is of the layer below
+                if begun and there[2] > at[2] == foot:  # the level moves so far belong to the layer below
                     run, begun = run + 1, False
                 foot = foot if begun else at[2]
                 runs += [(run, height)] * (len(way) - 1)
@@ -220,8 +220,8 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
 
 
 def _levelled(start: Array, end: Array, run: Array, height: Array) -> tuple[Array, Array]:
-    """Moves (n, 3) [mm], those of runs that rise by no more than their layer's height as high as these end: scarfs, which lie
-    beside lines of that height and are laid level."""
+    """Moves (n, 3) [mm]; runs that rise by no more than their layer's height (scarf seams) are levelled at their final
+    height, as they lie next to lines of that height and are laid level."""
     first = np.flatnonzero(np.diff(run, prepend=-1.0))
     last = np.append(first[1:], len(run)) - 1
     rise = end[last, 2] - start[first, 2]
@@ -233,7 +233,7 @@ def _levelled(start: Array, end: Array, run: Array, height: Array) -> tuple[Arra
 
 
 def _words(line: str) -> tuple[str, dict[str, float]]:
-    """The code of a line, such as G1, and its words."""
+    """The code of a line, such as G1, and its words by letter."""
     plain = re.sub(r"\(.*?\)", "", line.partition(";")[0]).upper()
     words = {letter: float(value) for letter, value in _WORD.findall(plain) if letter != "N"}
     first = next((letter for letter in ("G", "M") if letter in words), "")
@@ -241,7 +241,7 @@ def _words(line: str) -> tuple[str, dict[str, float]]:
 
 
 def _arc(at: Array, there: Array, words: dict[str, float], unit: float, clockwise: bool) -> list[Array]:
-    """Places along an arc of G2 or G3, its centre given by I and J or its radius by R."""
+    """Places along an arc of G2 or G3, with its centre given by I and J or its radius by R."""
     if "R" in words:
         half, r = 0.5 * (there - at)[:2], words["R"] * unit
         up = np.sqrt(max(r * r - float(half @ half), 0.0)) * np.array([-half[1], half[0]]) / max(np.hypot(*half), 1e-12)
@@ -263,7 +263,7 @@ def _arc(at: Array, there: Array, words: dict[str, float], unit: float, clockwis
 
 
 def dots_along(segments: Segments, apart: float) -> tuple[Array, Ints]:
-    """Places (m, 3) along segments, `apart` [m] at most, and the segment (m) that each is on."""
+    """Places (m, 3) along segments, at most `apart` [m] from each other, and the segment (m) that each is on."""
     length = np.linalg.norm(segments.end - segments.start, axis=1)
     count = np.maximum(np.ceil(length / apart), 1.0).astype(np.int64)
     which = np.repeat(np.arange(len(length), dtype=np.int64), count)
@@ -272,7 +272,7 @@ def dots_along(segments: Segments, apart: float) -> tuple[Array, Ints]:
 
 
 def distances_from(segments: Segments, points: Array, near: Sequence[Ints]) -> Array:
-    """Distances (n) of points (n, 3) from the nearest of some segments, less what these may bend; near: candidates of each."""
+    """Distances (n) of points (n, 3) from the nearest of their candidate segments `near`, less what these may bend."""
     out = np.full(len(points), np.inf)
     for k in near:
         start, way = segments.start[k], segments.end[k] - segments.start[k]

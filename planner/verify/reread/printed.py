@@ -1,8 +1,8 @@
-"""What is printed, measured against the problem's files and figures instead of the toolpath that was made of them.
+"""The print, measured against the problem's files and figures instead of the toolpath made from them.
 
-The executed tip is brought down onto the part by the formulas of its surface and into the plane of the drawing, and both are
-compared both ways: nothing is printed that is not drawn, and no more of what is drawn is left out than may be. Beads have the
-measures of the problem, and obstacles are where part and print are.
+The executed tip is projected onto the part by the formulas of its surface and into the plane of the drawing, and print
+and drawing are compared both ways: nothing is printed that is not drawn, and no more of the drawing is left out than
+allowed. Beads must have the problem's dimensions, and obstacles must be where part and print are.
 """
 
 from __future__ import annotations
@@ -60,27 +60,27 @@ from planner.verify.reread.volume import volume
 from planner.verify.reread.wing import wing
 from planner.verify.scanned import asked_height
 
-OFF_SCAN = 0.05e-3  # m by which beads may lie off a scan's points, beyond what these are unsure of
-TURNED_SCAN = np.radians(1.5)  # likewise of normals
+OFF_SCAN = 0.05e-3  # m: beads may lie this far off a scan's points, beyond the points' uncertainty
+TURNED_SCAN = np.radians(1.5)  # the same for normals
 _SEEN = 1500  # places of the whole print at which distances from facets are measured
-_CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
+_CHORDS = 2.0  # chord tolerances: one for the planner's reading, one for this
 _LAXER = 1.25  # corner tolerances: a file's points may be thinned out before its corners are rounded
-_BENT = 0.1  # of a layer's height above facets: a smooth surface's normal is not that of a facet
-_BEAD = 1e-9  # m, rounding of widths and heights
-_MAPPED = 1e-5  # m, of heights that follow a map between its places
-_WIDTHS_AGO = 3.0  # a bead lies on what it laid itself so many of its widths before, along it, at least
-_STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
-_LEVEL = 10.0  # by which heights count for more where layers are level: what lies beneath is another layer's
-_SAME_LEVEL = 5e-6  # m by which heights of one layer may differ, rounded
-_NEAREST = 3  # places of a file's path among whose pieces the nearest one is
-_MOST = 1_000_000  # places of a file's path
-_AT_ONCE = 100_000  # places whose distances from it are found at once, which bounds the memory
+_BENT = 0.1  # × a layer's height above facets: tolerance, as a smooth surface's normal differs from a facet's
+_BEAD = 1e-9  # m: rounding of widths and heights
+_MAPPED = 1e-5  # m: tolerance of heights interpolated in a map
+_WIDTHS_AGO = 3.0  # bead widths: a bead may lie on itself only at least this far back along it
+_STRAY = 0.3e-3  # m that obstacles may be off, on top of their own radius and spread
+_LEVEL = 10.0  # weight of heights where layers are level: anything beneath belongs to another layer
+_SAME_LEVEL = 5e-6  # m: rounded heights of one layer may differ by this much
+_NEAREST = 3  # nearest places on a file's path whose pieces are tried
+_MOST = 1_000_000  # most places on a file's path
+_AT_ONCE = 100_000  # places whose distances from it are found at once: bounds the memory
 
 
 def as_the_problem_says(judged: Judged) -> Findings:
-    """All checks of what is printed against the problem itself."""
+    """All checks of the print against the problem itself."""
     if not judged.trajectory.deposit.any():
-        return Findings()  # that nothing is laid is another check's
+        return Findings()  # another check reports that nothing is laid
     every = places_of(judged)
     around = every.bead < lines_around(judged.problem, judged.toolpath)
     places = every.some(~around)
@@ -101,7 +101,7 @@ def as_the_problem_says(judged: Judged) -> Findings:
 
 
 def _measures(judged: Judged) -> Iterator[Check]:
-    """Beads are as wide and as high as the problem says, where it is the problem that does."""
+    """Beads have the width and height that the problem sets, where it sets them."""
     layers, bead, spec = judged.problem.layers, judged.problem.process.bead, judged.problem.as_printed
     if not isinstance(layers, (WrappedLayersSpec, ProjectedLayersSpec, FaceLayersSpec)):
         return
@@ -121,7 +121,7 @@ def _measures(judged: Judged) -> Iterator[Check]:
 
 
 def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
-    """Layers lie above the part as high as they are to, and the nozzle stands on its surface."""
+    """Layers lie at their height above the part, and the nozzle is normal to its surface."""
     layers, part = judged.problem.layers, judged.problem.part
     if part is None or not isinstance(layers, (WrappedLayersSpec, ProjectedLayersSpec)):
         return
@@ -152,14 +152,14 @@ def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
         off = np.maximum(off - _BENT * height, 0.0)
         yield worst_of(judged, some, ON_PART, off * 1e3, bound * 1e3, "mm")
         if judged.toolpath.told.off > 0.0:
-            return  # coarse or noisy facets were bent: their slopes are not the surface's
+            return  # coarse or noisy facets were smoothed: their slopes are not the surface's
         foot = some.tip[:, :2] - (0.0 if along_z else height[:, None] * some.up[:, :2])
         facets = facets_of(part.mesh)
         yield axis_along(judged, some, normals_over(lambda plane: facets.top(plane)[0], foot))
 
 
 def _on_the_scan(judged: Judged, places: Places, scan: ScanSpec, along_z: bool) -> Iterator[Check]:
-    """The same of a scan: within what sheets through its own points say, as surely as these do."""
+    """The same for a scan, within the uncertainty of sheets through its own points."""
     layers = judged.problem.layers
     if not isinstance(layers, ProjectedLayersSpec):
         return
@@ -177,7 +177,7 @@ def _on_the_scan(judged: Judged, places: Places, scan: ScanSpec, along_z: bool) 
 
 
 def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
-    """Nothing is printed that is not drawn, and what is drawn is printed."""
+    """Nothing is printed that is not drawn, and everything drawn is printed."""
     layers, part, process = judged.problem.layers, judged.problem.part, judged.problem.process
     if part is None or not isinstance(layers, (LayersSpec, WrappedDxfSpec, ProjectedLayersSpec)):
         return
@@ -189,11 +189,11 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
     lines = [line for line in drawn if len(line) > 1]
     count = len(lines)
     limit = process.corner_tolerance + _CHORDS * process.chord_tolerance + OFF_LEVEL
-    if isinstance(source, PatternSpec):  # walls that two ribbons share stand side by side
+    if isinstance(source, PatternSpec):  # walls shared by two ribbons lie side by side
         limit += 0.5 * process.bead.width + process.corner_tolerance
     if level_of(part) is None and isinstance(layers, ProjectedLayersSpec):
         limit += _BENT * layers.height * layers.count
-    if isinstance(source, DxfSpec):  # ends that are joined
+    if isinstance(source, DxfSpec):  # ends that were joined
         lines += between_ends(lines, source.join, 2.0 * limit)
     if isinstance(layers, ProjectedLayersSpec) and (layers.project != "z" or any(len(line.T) == 3 for line in lines)):
         lines, plane = _fallen(layers, part, lines, _feet_of(judged, layers, part, places))
@@ -205,7 +205,7 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
 
 
 def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
-    """Nothing is printed but what a file of waypoints or G-code says, and all of that."""
+    """Everything in a file of waypoints or G-code is printed, and nothing else."""
     layers, process = judged.problem.layers, judged.problem.process
     if not isinstance(layers, (WaypointLayersSpec, GcodeLayersSpec)):
         return
@@ -223,10 +223,10 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
         why = "a print that is resumed" if resumed else "its comments name no features to be printed"
         yield Check(WHOLE, 0.0, 0.0, "of its length", True, f"not asked: {why}")
         return
-    if found.bend > 0.0:  # only the waypoints themselves are sure to be passed
+    if found.bend > 0.0:  # only the waypoints themselves must be passed
         dots, which = found.start, np.arange(len(length))
     weight = (length / np.bincount(which))[which]
-    if found.bend > 0.0:  # a waypoint stands for the shorter of its two steps: one may be a way to the next path
+    if found.bend > 0.0:  # a waypoint represents the shorter of its two steps: one may lead to the next path
         weight = np.minimum(weight, np.append(weight[:1], weight[:-1]))
         weight = np.minimum(weight, float(np.median(length)))
     wanted, most = found.needed[which], may_be_left(judged, layers.source.crumbs)
@@ -235,7 +235,7 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
         if not low.any():
             yield Check(WHOLE, 0.0, 0.0, "of its length", True, "not asked: nothing level is to be printed")
             return
-        # what notes tell of is of all layers
+        # the notes' share refers to all layers
         wanted, most = low, SHORT + (most - SHORT) * float(weight[wanted].sum() / weight[low].sum())
     dots, weight = dots[wanted], weight[wanted]
     sense = np.array([1.0, 1.0, 1.0 if found.bend > 0.0 else _LEVEL])
@@ -248,18 +248,18 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
 
 
 def _level_up_to(found: Segments, top: float) -> Flags:
-    """Which pieces (n) of G-code are level, and no higher than the layer at a height [m]. A spiral counts as what it ends at, and
-    may be left out as a whole."""
+    """Whether pieces (n) of G-code are level, and no higher than the layer at a height [m]. A spiral counts at its
+    final height, and may be left out as a whole."""
     level = np.abs(found.end[:, 2] - found.start[:, 2]) <= _SAME_LEVEL
     return np.asarray(level & (found.end[:, 2] <= top + _SAME_LEVEL))
 
 
 def _off_pieces(found: Segments, points: Array, dots: Array, which: Ints) -> Array:
-    """Distances (n) [m] of points (n, 3) from the nearest of all pieces, less what these may bend; `which` of them each dot
-    (m, 3) is on.
+    """Distances (n) [m] of points (n, 3) from the nearest of all pieces, less what these may bend; which (m): the piece
+    that each dot (m, 3) is on.
 
-    Where pieces may bend, the nearest of each octave of lengths count, since short ones that are nearer hide no long one;
-    points that are off none need no other look.
+    Where pieces may bend, the nearest ones of each octave of lengths are tried, so that nearer short ones cannot hide a
+    long one; points at distance 0 are not tried again.
     """
     length = np.linalg.norm(found.end - found.start, axis=1)
     octave, counts = np.zeros(len(dots), dtype=np.int64), [_NEAREST]
@@ -278,7 +278,7 @@ def _off_pieces(found: Segments, points: Array, dots: Array, which: Ints) -> Arr
 
 
 def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
-    """Where tips lie in the plane of the drawing (n, 2) [m]."""
+    """Positions (n, 2) [m] of tips in the plane of the drawing."""
     layers = judged.problem.layers
     if isinstance(layers, ProjectedLayersSpec):
         c, s = np.cos(layers.turn), np.sin(layers.turn)
@@ -292,14 +292,14 @@ def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
 
 
 def _feet_of(judged: Judged, layers: ProjectedLayersSpec, part: PartSpec, places: Places) -> Array:
-    """Places (n, 3) of the part below tips, as layers grow on it [m]."""
+    """Places (n, 3) [m] of the part below tips, against the direction in which layers grow."""
     rise = np.asarray((places.layer + 1.0) * layers.height, dtype=float)
     level = level_of(part)
     if layers.offset == "z":
         return np.asarray(places.tip - rise[:, None] * [0.0, 0.0, 1.0])
     if level is not None:
         return feet(level, places.tip, rise)[0]
-    foot = np.empty_like(places.tip)  # of files, the toolpath's own normals say which way layers grow
+    foot = np.empty_like(places.tip)  # for files, layers grow along the toolpath's own normals
     for bead, own in by_number(places.bead):
         laid, at = judged.toolpath.beads[bead], judged.trajectory.s[places.sample[own]]
         normal = np.column_stack([np.interp(at, laid.s, laid.normals[:, k]) for k in range(3)])
@@ -310,10 +310,10 @@ def _feet_of(judged: Judged, layers: ProjectedLayersSpec, part: PartSpec, places
 def _fallen(
     layers: ProjectedLayersSpec, part: PartSpec, lines: Sequence[Array], foot: Array
 ) -> tuple[list[Array], Array]:
-    """Lines (k, 2) of curves in space (k, 3), or (k, 2) in the plane z = 0, and feet of tips (n, 3), in one plane (n, 2).
+    """Lines of curves (k, 3), or (k, 2) at z = 0, and feet of tips (n, 3), all projected into one plane (., 2).
 
-    It is square to the direction in which curves fall. Those that fall along normals are brought to their nearest places
-    first, and seen from above.
+    That plane is perpendicular to the direction of projection. Curves projected along normals are moved to their
+    nearest places on the part first, then seen from above.
     """
     c, s = np.cos(layers.turn), np.sin(layers.turn)
     there = []
@@ -330,7 +330,7 @@ def _fallen(
 
 
 def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array], near: float, count: int) -> Check:
-    """The share of what is drawn that no bead of a layer comes near to, in the worst of those that are wholly printed."""
+    """The share of the drawing that no bead of a layer comes near to, in the worst of the layers printed as a whole."""
     begun = begun_layers(judged)
     dots, weight = dots_of_lines(lines)
     where, worst = EVERYWHERE, 0.0
@@ -350,7 +350,7 @@ def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array],
 
 
 def _obstacles(judged: Judged, places: Places) -> Check:
-    """What is kept clear of is where beads are laid, and where the part is beneath the lowest layer."""
+    """Obstacles are where beads are laid, and where the part is beneath the lowest layer."""
     some, beads, body = places.few(_SEEN), judged.toolpath.beads, judged.body
     width, height, least = np.array([(b.width.max(), b.height.max(), b.height.min()) for b in beads])[some.bead].T
     thing = np.searchsorted(body.first, body.tree.number, side="right") - 1
@@ -358,9 +358,9 @@ def _obstacles(judged: Judged, places: Places) -> Check:
     laid = number >= 0
     off = np.full(len(some.tip), np.inf)
     if laid.any():
-        apart = cKDTree(np.column_stack([body.tree.points[laid], number[laid]]))  # beads are 1 m apart from each other
+        apart = cKDTree(np.column_stack([body.tree.points[laid], number[laid]]))  # 4th axis: beads are 1 m apart
         middle = judged.motion.tip[some.sample] - 0.5 * height[:, None] * some.up
-        # a ball is no farther from a bead's middle line than 0.8 of its width or height, whichever is less
+        # a ball is no farther from a bead's middle line than 0.8 of its width or height, whichever is smaller
         lean = height * np.sin(0.5 * judged.problem.process.cones.tilt)
         room = np.minimum(width, height) + 0.5 * (height - least) + lean
         off = apart.query(np.column_stack([middle, some.bead]))[0] - room
@@ -377,9 +377,9 @@ def _obstacles(judged: Judged, places: Places) -> Check:
 
 
 def _on_turns(judged: Judged, places: Places, height: Array, which: Ints, number: Ints) -> NDArray[np.bool_]:
-    """Whether some places (n) of the lowest layer lie, half to one and a half of their bead's height above it, on what is kept
-    clear of there by then: an earlier bead of that layer, or the same one a few widths before, as in a spiral. number: the
-    bead of each point of the body."""
+    """Whether the places `which` (n) of the lowest layer lie, half to one and a half of their bead's height above it,
+    on an obstacle present by then: an earlier bead of that layer, or the same one a few widths before, as in a spiral.
+    number: the bead of each point of the body."""
     beads, body, s = judged.toolpath.beads, judged.body, judged.trajectory.s
     layer = min(bead.layer for bead in beads)
     own = np.flatnonzero(np.isin(number, [i for i, bead in enumerate(beads) if bead.layer == layer]))
@@ -399,6 +399,6 @@ def _on_turns(judged: Judged, places: Places, height: Array, which: Ints, number
 
 
 def _bead_of(name: str) -> int:
-    """The number of the bead that an obstacle is, by its name; -1 for others."""
+    """The number of the bead that an obstacle is, from its name; -1 for others."""
     head, _, tail = name.partition(" ")
     return int(tail) if head == "bead" and tail.isdecimal() else -1

@@ -1,9 +1,9 @@
-"""A scanned part once more: at each place, a curved sheet of its own through the nearest points of the file.
+"""A scanned part read again: at each place, a separate curved sheet through the nearest points of the file.
 
-No surface is fitted to all of the scan. A sheet, a polynomial of x and y through some dozen points, says how high the part
-is there and how it leans. Large and stiff sheets average noise, others follow shape: how surely one says so is told by its
-scatter, and by what less sure ones say against it beyond what they may be off themselves (Goldenshluger and Lepski); the
-surest one counts. Lengths are metres in the part frame.
+No surface is fitted to all of the scan. A sheet, a polynomial in x and y through some dozens of points, gives the
+part's height and slope there. Large and stiff sheets average out noise, others follow the shape: a sheet's uncertainty
+comes from its scatter, and from how far less certain ones contradict it beyond their own uncertainty (Goldenshluger and
+Lepski); the most certain one counts. Lengths are in metres in the part frame.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from planner.base.geometry import angles_between
 from planner.problem.clouds import read_scan
 from planner.problem.part import ScanSpec
 
-# Points of a sheet and its degree, the least sure first: as a rule a cubic one needs two and a half times the points.
+# Points of a sheet and its degree, the least certain first; a cubic typically needs two and a half times the points.
 _SHEETS = ((24, 2), (60, 3), (36, 2), (90, 3), (54, 2), (150, 3), (80, 2), (120, 2), (150, 2))
-_MOST = 150  # points of a sheet
-SURE = 4.0  # standard errors by which the sheet may be wrong
-_OWN = 0.5  # of what a less sure sheet may be off, by which a surer one differs without being told against
-_HELD = 1e-9  # of a sheet's normal equations: points in a line say nothing of what is beside it,
-_FINEST = 1e-7  # m of scatter at least, so that such sheets are unsure even without noise
+_MOST = 150  # most points of a sheet
+SURE = 4.0  # standard errors that count as a sheet's uncertainty
+_OWN = 0.5  # × a less certain sheet's uncertainty: a smaller difference from it does not count as a contradiction
+_HELD = 1e-9  # added to the diagonal of a sheet's normal equations: collinear points do not determine the slope across,
+_FINEST = 1e-7  # m: least scatter, so that such sheets are uncertain even without noise
 
 
 @dataclass(frozen=True)
 class ScanSheets:
-    """Sheets at places: heights (n) [m], upward unit normals (n, 3), and how far either may be off: (n) [m], (n) [rad]."""
+    """Sheets at places: heights (n) [m], upward unit normals (n, 3), and uncertainties of both (n) [m], (n) [rad]."""
 
     z: Array
     normals: Array
@@ -41,7 +41,7 @@ class ScanSheets:
 
 
 def sheets_at(spec: ScanSpec, plane: Array) -> ScanSheets:
-    """The sheets of a scan at x, y (n, 2). Raises InputError for a file that cannot be read any more."""
+    """The sheets of a scan at x, y (n, 2). Raises InputError for a file that can no longer be read."""
     points, tree = _points(spec, *stamp_of(spec.file))
     away, near = tree.query(plane, k=_MOST)
     found = [_through(points[near[:, :count]], plane, away[:, count - 1], degree) for count, degree in _SHEETS]
@@ -63,7 +63,7 @@ def sheets_at(spec: ScanSpec, plane: Array) -> ScanSheets:
 
 
 def _through(near: Array, plane: Array, radius: Array, degree: int) -> ScanSheets:
-    """The sheets of a degree through points (n, k, 3) within a radius (n) of x, y (n, 2), as sure as their scatter says."""
+    """The sheets of a degree through points (n, k, 3) within a radius (n) of x, y (n, 2), with uncertainties."""
     count = near.shape[1]
     radius = np.maximum(radius, 1e-9)[:, None]
     u, v = ((near[:, :, k] - plane[:, k : k + 1]) / radius for k in (0, 1))
@@ -84,6 +84,6 @@ def _through(near: Array, plane: Array, radius: Array, degree: int) -> ScanSheet
 
 @lru_cache(maxsize=2)
 def _points(spec: ScanSpec, changed: int, size: int) -> tuple[Array, cKDTree]:
-    """A scan's points and their tree, seen from above; `changed` and `size` tell one file from another."""
+    """A scan's points and their tree, seen from above; `changed` and `size` identify the file."""
     points = read_scan(spec, partial(InputError, file=spec.file))
     return points, cKDTree(points[:, :2])

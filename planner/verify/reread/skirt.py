@@ -1,6 +1,6 @@
-"""Whether lines around the first layer lie where the problem asks for them.
+"""Whether skirt lines around the first layer lie where the problem requires them.
 
-What is measured is the executed tip: how far from the middle lines of the first layer's beads it is, and how high.
+The executed tip is measured: its distance from the middle lines of the first layer's beads, and its height.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from planner.verify.checks import EVERYWHERE, Judged, drawn_name
 from planner.verify.reread.places import AXIS, OFF_LEVEL, Places, between, by_number, worst_of
 
 AROUND = "lines around the first layer"
-_CHORD = 3e-5  # m that outlines may be off, once they are thinned out
-_LOOKS = 200  # places of the layer that lines have to go round
-_ARC = 1e-3  # of a line's distance from the layer, by which its arcs may be chords
+_CHORD = 3e-5  # m: thinned-out outlines may be off by this much
+_LOOKS = 200  # places of the layer that lines must go around
+_ARC = 1e-3  # × a line's distance from the layer: chords may lie this far off its arcs
 
 
 def skirt(judged: Judged, places: Places, own: Flags) -> list[Check]:
-    """The check of the lines, which are places `own` (n); none where none are asked for, or the first layer was begun before."""
+    """The check of the lines, which are places `own` (n); none without a skirt, or if the print is resumed."""
     spec, lowest = judged.problem.process.skirt, judged.toolpath.beads[0].layer
     there = ~own & (places.layer == lowest)
     if spec is None or judged.trajectory.first_bead or not there.any():
@@ -30,7 +30,7 @@ def skirt(judged: Judged, places: Places, own: Flags) -> list[Check]:
     lines, layer = places.some(own), places.some(there)
     width = float(np.median(judged.toolpath.beads[int(layer.bead[0])].width))
     covers = 0.5 * np.array([bead.width.max() for bead in judged.toolpath.beads])[layer.bead]
-    away = np.full(len(lines.tip), np.inf)  # from what beads cover, and half a width of a line
+    away = np.full(len(lines.tip), np.inf)  # from the edges of beads, plus half a line's width
     for reach in np.unique(covers) if own.any() else ():
         nearest = cKDTree(layer.tip[covers == reach]).query(lines.tip)[0]
         away = np.minimum(away, nearest + (0.5 * width - reach))
@@ -52,7 +52,7 @@ def skirt(judged: Judged, places: Places, own: Flags) -> list[Check]:
 
 
 def _within(lines: Places, number: Array, loops: int, layer: Places) -> Flags:
-    """Which places (m) of the layer every one of the loops goes round; number (n): the loop that a place of the lines is of."""
+    """Whether places (m) of the layer are inside every loop; number (n): the loop of each place of the lines."""
     round_them = np.zeros((loops, len(layer.tip)), dtype=bool)
     for _, at in by_number(lines.bead):
         away = lines.tip[np.append(at, at[0]), :2] - layer.tip[:, None, :2]
@@ -62,7 +62,7 @@ def _within(lines: Places, number: Array, loops: int, layer: Places) -> Flags:
 
 
 def _open(judged: Judged, lines: Places) -> Array:
-    """How far (n) [m] a line that ends there is from where it began, in pieces or not; 0 at all other places."""
+    """Gap (n) [m] between the end of a line, in pieces or not, and its start; 0 at all places but ends."""
     ends = {bead: (at[0], at[-1]) for bead, at in by_number(lines.bead)}
     names = {bead: drawn_name(judged.toolpath.beads[bead]) for bead in ends}
     gap = np.zeros(len(lines.tip))
@@ -70,5 +70,5 @@ def _open(judged: Judged, lines: Places) -> Array:
         own = list(pieces)
         first, last = ends[own[0]][0], ends[own[-1]][1]
         left = float(np.linalg.norm(lines.tip[first] - lines.tip[last]))
-        gap[last] = max(left - 2.0 * between(judged), 0.0)  # which is to the first and from the last place looked at
+        gap[last] = max(left - 2.0 * between(judged), 0.0)  # the first and last places may be that far from the ends
     return gap

@@ -1,7 +1,7 @@
-"""Normals of surfaces that are known by their heights, from the slopes over several lengths, and the nozzle's axis against them.
+"""Normals of height fields, from slopes over several lengths, and the nozzle's axis against them.
 
-A smooth surface through facets turns where these do, and not as sharply: how far the normals over a short and over a long
-way differ says how well a normal is known.
+A smooth surface through facets turns where these do, but less sharply: the difference between normals over short and
+long distances shows how well a normal is known.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from planner.plan import Check
 from planner.verify.checks import Judged
 from planner.verify.reread.places import AXIS, NORMAL, Places, beyond_limits
 
-Heights = Callable[[Array], Array]  # of places x, y (n, 2): z (n) [m]; NaN beside
+Heights = Callable[[Array], Array]  # from places x, y (n, 2) to z (n) [m]; NaN off the surface
 
 SEEN = 2000  # places of the whole print at which normals are compared
 _OVER = (0.25e-3, 0.75e-3, 2e-3)  # m to either side
-_FACETS = np.radians(1.0)  # by which a smooth surface's normals are off facets' where these are fine
-_OFF = 0.05e-3  # m that beads may lie off facets, where nothing is told of it
+_FACETS = np.radians(1.0)  # a smooth surface's normals may differ this much from those of fine facets
+_OFF = 0.05e-3  # m: beads may lie this far off facets without a note
 
 
 def off_facets(judged: Judged) -> float:
-    """How far smooth surfaces may be off facets [m]: what notes tell of, or as much as is not told."""
+    """How far smooth surfaces may be off facets [m]: what the notes report, but at least what needs no note."""
     return max(judged.toolpath.told.off, _OFF)
 
 
 def normals_over(heights: Heights, plane: Array) -> Array:
-    """Upward unit normals (3, n, 3) at x, y (n, 2), over a short, a usual and a long way; NaN where that leaves the surface."""
+    """Upward unit normals (3, n, 3) at x, y (n, 2), over a short, a usual and a long distance; NaN off the surface."""
     found = []
     for way in _OVER:
         steps = np.array([[way, 0.0], [-way, 0.0], [0.0, way], [0.0, -way]])
@@ -41,7 +41,7 @@ def normals_over(heights: Heights, plane: Array) -> Array:
 
 
 def axis_along(judged: Judged, places: Places, normals: Array) -> Check:
-    """The check that the axis is along normals (3, n, 3), as far as these are known; where they are not, it holds."""
+    """The check that the axis is along normals (3, n, 3), within their uncertainty; passes where they are unknown."""
     known = ~np.isnan(normals[:, :, 2])
     sure = known.sum(axis=0) >= 2
     usual = np.where(known[1, :, None], normals[1], normals[0])

@@ -1,5 +1,5 @@
-"""Faces of a STEP or IGES file once more: triangles of Open CASCADE's own mesher, asked for by another process, and nearest
-places on them by coal. Lengths are metres in the part frame.
+"""Faces of a STEP or IGES file read again: triangles by Open CASCADE's own mesher in a separate process, and nearest
+points on them by coal. Lengths are in metres in the part frame.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from planner.problem.part import StepSpec
 from planner.verify.bodies import triangle_model
 from planner.verify.reread.plane_curves import NotRead
 
-OFF = 2e-6  # m by which triangles may leave the faces
-TURNED = np.radians(0.1)  # by which normals between corners of triangles may be off those of a face
-_HALF = 0.5  # of it are normals off halfway between corners: in between they may be off by more
+OFF = 2e-6  # m: triangles may lie this far off the faces
+TURNED = np.radians(0.1)  # normals interpolated in triangles may differ this much from a face's
+_HALF = 0.5  # × TURNED: allowed halfway between corners, since elsewhere normals may be off by more
 _PROCESS = "planner.verify.reread.step_process"
 _LONGEST = 300  # s that a file may take
 _MOST_KNOWN = 2  # files whose faces are kept
 _MARK = 72  # column, from 0, of the S in an IGES file's first line
-_POINT = 1e-9  # m, radius of a ball that stands for a point
+_POINT = 1e-9  # m: radius of a ball that represents a point
 
 
 @dataclass(frozen=True)
 class FaceFeet:
-    """Nearest places (n) on faces: points and outward unit normals (n, 3), the faces (n), and bends of those (n, 2) as `MeshedFaces`."""
+    """Nearest places (n) on faces: points, outward unit normals (n, 3), faces (n), bends (n, 2): see `MeshedFaces`."""
 
     points: Array
     normals: Array
@@ -44,10 +44,10 @@ class FaceFeet:
 class MeshedFaces:
     """Faces as triangles.
 
-    corners, normals  (m, 3, 3) of the triangles [m]; unit normals as the file has them
-    bends             (m, 2) least and greatest principal curvature at a triangle's corners [1/m], above 0 where faces are hollow
-    face              (m) that each is of
-    sure              of each face whether a body says which way it looks
+    corners, normals  (m, 3, 3) of the triangles [m]; unit normals as in the file
+    bends             (m, 2) least and greatest principal curvature at a triangle's corners [1/m]; positive in hollows
+    face              (m) that each belongs to
+    sure              whether a solid determines which way each face looks
     """
 
     corners: Array
@@ -58,7 +58,7 @@ class MeshedFaces:
     model: coal.BVHModelOBBRSS
 
     def nearest(self, points: Array) -> FaceFeet:
-        """The nearest places to points (n, 3)."""
+        """The places nearest to points (n, 3)."""
         ball, still, request, at = coal.Sphere(_POINT), coal.Transform3s(), coal.DistanceRequest(), coal.Transform3s()
         request.enable_signed_distance = False
         triangle, foot = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
@@ -76,7 +76,7 @@ class MeshedFaces:
         )
 
     def spread(self, apart: float) -> tuple[Array, Array]:
-        """Places (n, 3) all over the faces, up to `apart` [m] from each other, and the area (n) that each stands for."""
+        """Places (n, 3) all over the faces, up to `apart` [m] from each other, and the area (n) of each."""
         points, areas = [], []
         across = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
         whole = 0.5 * np.linalg.norm(across, axis=1)
@@ -95,7 +95,7 @@ def _area(a: Array, b: Array, c: Array) -> Array:
 
 
 def _middles(count: int) -> Array:
-    """Barycentric coordinates (n, 3) of the middles of a triangle's pieces, its sides cut in so many."""
+    """Barycentric coordinates (n, 3) of the centres of a triangle's pieces, with each side cut into `count`."""
     out = []
     for i in range(count):
         for j in range(count - i):
@@ -107,7 +107,7 @@ def _middles(count: int) -> Array:
 
 
 class _Wanted(NamedTuple):
-    """Faces of a file; when it was changed, and its size, tell it from another one of its name."""
+    """Faces of a file; its time of change and size distinguish it from other versions."""
 
     spec: StepSpec
     faces: tuple[int | str, ...] | str
@@ -116,13 +116,13 @@ class _Wanted(NamedTuple):
 
     @classmethod
     def of(cls, spec: StepSpec, faces: Sequence[int | str] | str) -> _Wanted:
-        """Raises OSError for a file that is not there."""
+        """With the file's current stamp. Raises OSError for a file that is missing."""
         stamp = spec.file.stat()
         return cls(spec, faces if isinstance(faces, str) else tuple(faces), stamp.st_mtime_ns, stamp.st_size)
 
     @property
     def question(self) -> dict[str, Any]:
-        """What the process is asked. Raises OSError."""
+        """The request to the process. Raises OSError."""
         head = self.spec.file.read_bytes()[: _MARK + 8]
         return {
             "file": str(self.spec.file.resolve()), "iges": head[_MARK : _MARK + 1] == b"S" and b"ISO-10303" not in head,
@@ -130,11 +130,11 @@ class _Wanted(NamedTuple):
         }  # fmt: skip
 
 
-_known: dict[_Wanted, MeshedFaces | NotRead] = {}  # what was read last
+_known: dict[_Wanted, MeshedFaces | NotRead] = {}  # the most recent results
 
 
 def meshed_faces(spec: StepSpec, faces: Sequence[int | str] | str) -> MeshedFaces | NotRead:
-    """Faces of a file by their names and numbers, as triangles. Raises OSError for a file that is not there."""
+    """Faces of a file by their names and numbers, as triangles. Raises OSError for a file that is missing."""
     wanted = _Wanted.of(spec, faces)
     if wanted not in _known:
         try:
@@ -148,11 +148,11 @@ def meshed_faces(spec: StepSpec, faces: Sequence[int | str] | str) -> MeshedFace
 
 
 def read_ahead(spec: StepSpec, faces: Sequence[int | str] | str) -> AbstractContextManager[None]:
-    """Has faces read beside the block, in which `meshed_faces` finds them the sooner; those that are known are not read."""
+    """Context in which faces are read in the background, so that `meshed_faces` has them sooner; known ones are not."""
     try:
         wanted = _Wanted.of(spec, faces)
         return nullcontext() if wanted in _known else asked_ahead(_PROCESS, wanted.question)
-    except OSError:  # told when they are asked for
+    except OSError:  # reported when the faces are needed
         return nullcontext()
 
 
@@ -182,7 +182,7 @@ def _placed(spec: StepSpec, answer: dict[str, Array]) -> MeshedFaces:
         there = np.linalg.norm(flat, axis=1) > 0.0
         of, flat = of[there], flip * flat[there]
         at_corners = own[of]
-        lost = np.isnan(at_corners).any(axis=2)  # at a pole there is only the triangle's
+        lost = np.isnan(at_corners).any(axis=2)  # at a pole, the triangle's own normal is used
         at_corners[lost] = (flat / np.linalg.norm(flat, axis=1)[:, None])[np.nonzero(lost)[0]]
         bent = flip * 1e3 * np.nan_to_num(answer[f"{k}.bends"])[of].reshape(len(of), -1)
         corners.append(points[of])

@@ -1,6 +1,6 @@
 """Faces of a STEP or IGES file as triangles of Open CASCADE's own mesher, with normals at their corners.
 
-It runs as a process of its own (`step_faces.py`): a damaged file can end it at any place, without a word.
+It runs as a separate process (started by `step_faces.py`): a damaged file can end it anywhere, without a message.
 """
 
 from __future__ import annotations
@@ -30,17 +30,19 @@ from planner.base.arrays import Array, Ints
 from planner.base.isolated import answer
 
 _ANGLE = 0.05  # rad between triangles
-_SMALLEST = 1e-12  # mm^2 per parameter: where surfaces have no normal, as at poles
+_SMALLEST = 1e-12  # mm^2 per parameter: below it surfaces have no normal, as at poles
 _NEAR = 1e-6  # mm
-_COARSE = 16.0  # times as far off as is allowed are triangles within a face first: the mesher takes long for small ones
-_CUTS = 5  # of a triangle, at most: a surface with an edge of its own would be cut without end; two of them for _COARSE
-_WHEREVER = -1  # an entity is found by its shape, wherever an assembly puts that
+_COARSE = 16.0  # × the allowed distance, for first triangles within a face: the mesher takes long for small ones
+_CUTS = 5  # most cuts of a triangle, two of them for _COARSE: a sharp edge within a surface would be cut without end
+_WHEREVER = -1  # an entity is found by its shape, wherever an assembly places it
 
 
 def triangles(request: dict[str, Any]) -> dict[str, Any]:
-    """Of face k that a request names (see `answered`) `k.points` [mm], `k.normals` as the file has them, `k.bends` (n, 2) [1/mm],
-    its principal curvatures, above 0 where it is hollow, and `k.corners`; `faces`, how many; and `sure`, whether a body says which
-    way each looks. `reason` instead where there are none."""
+    """Triangles of the faces that a request names (see `answered`), or the `reason` why there are none.
+
+    For face k: `k.points` [mm], `k.normals` as in the file, `k.bends` (n, 2) [1/mm], its principal curvatures, positive
+    in hollows, and `k.corners`; `faces`: the number of faces; `sure`: whether a solid determines which way each looks.
+    """
     for printer in list(Message.DefaultMessenger_s().Printers()):
         Message.DefaultMessenger_s().RemovePrinter(printer)
     reader = IGESControl_Reader() if request["iges"] else STEPControl_Reader()
@@ -78,7 +80,7 @@ def triangles(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _mesher_settings(off: float) -> IMeshTools_Parameters:
-    """Settings of the mesher, where triangles may leave a face by `off` [mm]: as exact as that at its edges, coarser within."""
+    """Settings of the mesher for triangles at most `off` [mm] from a face: that exact at its edges, coarser within."""
     wanted = IMeshTools_Parameters()
     wanted.Deflection, wanted.DeflectionInterior = off, _COARSE * off
     wanted.Angle = wanted.AngleInterior = _ANGLE
@@ -86,7 +88,7 @@ def _mesher_settings(off: float) -> IMeshTools_Parameters:
 
 
 def _faces(shape: Any, of: Any = None) -> list[Any]:
-    """The faces of a shape, or of all its subshapes of a kind, each once, in the order in which they stand there."""
+    """The faces of a shape, or of all its subshapes of one kind, each once, in their order there."""
     out: list[Any] = []
     known: dict[int, list[Any]] = {}
     wholes = [shape]
@@ -109,7 +111,7 @@ def _faces(shape: Any, of: Any = None) -> list[Any]:
 
 
 def _name(entity: Any) -> str:
-    """What the file calls a face: by its name, in IGES by its property or its label."""
+    """A face's name in the file; in IGES its name property or its label."""
     if entity is None:
         return ""
     if hasattr(entity, "ShortLabel"):
@@ -120,12 +122,12 @@ def _name(entity: Any) -> str:
 
 
 def _meshed(face: Any, off: float, turned: float) -> dict[str, Array | Ints] | None:
-    """Corners of triangles: points (n, 3) [mm], normals (n, 3) out of the face and bends (n, 2) [1/mm], both NaN at poles; and
-    triangles, corners (m, 3). None for no mesh.
+    """A face's triangles: points (n, 3) [mm], outward normals (n, 3) and bends (n, 2) [1/mm], both NaN at poles; and
+    corners (m, 3), the points of each triangle. None if there is no mesh.
 
-    The mesher makes a coarse mesh, and sees no bend where a surface turns back, as at the middle of an S; so triangles are
-    cut in four where the face halfway along a side is more than `off` [mm] from it, or its normal more than `turned` [rad]
-    from what lies between those of the ends.
+    The mesher makes a coarse mesh, and misses bends where a surface turns back, as at the middle of an S; so triangles
+    are cut into four where the face halfway along a side is more than `off` [mm] from it, or its normal more than
+    `turned` [rad] from the mean of those at the ends.
     """
     place = TopLoc_Location()
     mesh = BRep_Tool.Triangulation_s(face, place)
@@ -161,7 +163,7 @@ class _Local(NamedTuple):
 
     @classmethod
     def of(cls, face: Any, uv: Array) -> _Local:
-        """Of a face; normals and bends are NaN at poles."""
+        """For a face; normals and bends are NaN at poles."""
         points, normals, bends = np.empty((len(uv), 3)), np.full((len(uv), 3), np.nan), np.full((len(uv), 2), np.nan)
         local = BRepLProp_SLProps(BRepAdaptor_Surface(face), 2, _SMALLEST)
         for i, (u, v) in enumerate(uv.tolist()):
@@ -177,7 +179,7 @@ class _Local(NamedTuple):
 
 
 def _cut(face: Any, net: _Local, corners: Ints, off: float, turned: float) -> tuple[_Local, Ints, Ints]:
-    """The net with what was added, the triangles (m, 3) that are flat enough as they are, and those that others were cut into."""
+    """The net with added points, the triangles (m, 3) that are flat enough, and those that others were cut into."""
     sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
     sides, which = np.unique(sides, axis=0, return_inverse=True)
     halfway, chord = _Local.of(face, net.uv[sides].mean(axis=1)), net.points[sides].mean(axis=1)
@@ -194,10 +196,10 @@ def _cut(face: Any, net: _Local, corners: Ints, off: float, turned: float) -> tu
 
 
 def _beside(face: Any, uv: Array, points: Array) -> Array:
-    """Parameters (n, 2) of the places of a face that are nearest to points (n, 3) [mm], not far from uv (n, 2).
+    """Parameters (n, 2) of the places of a face nearest to points (n, 3) [mm], searched from uv (n, 2).
 
-    Halfway between parameters may be far from halfway between places: triangles that are cut there would leave holes
-    beside those that are not.
+    Halfway between parameters may be far from halfway between points: triangles cut there would leave holes next to
+    those that are not cut.
     """
     surface, out = ShapeAnalysis_Surface(BRep_Tool.Surface_s(face)), np.empty_like(uv)
     for i, ((u, v), point) in enumerate(zip(uv.tolist(), points.tolist(), strict=True)):
@@ -207,8 +209,10 @@ def _beside(face: Any, uv: Array, points: Array) -> Array:
 
 
 def answered(request: dict[str, Any]) -> dict[str, Any]:
-    """The answer to a request (file, iges, faces; by how much triangles may leave faces, off_mm, and normals between their corners
-    be off, turned [rad]), or why there is none."""
+    """The answer to a request, or the reason why there is none.
+
+    Request: file, iges, faces; off_mm and turned [rad]: how far triangles may lie off faces, and their normals be off.
+    """
     try:
         return triangles(request)
     except Standard_Failure as error:

@@ -1,7 +1,7 @@
-"""Filled meshes once more: their layers' heights from the facets, and each layer's outline from lines through the body.
+"""Filled meshes read again: layer heights from the facets, and each layer's outline from lines through the body.
 
-Vertical lines through all of the body tell at which heights it is entered and left. Between them a layer's outline is known
-to within their distance; its walls and its infill are held against it. Lengths are metres in the part frame.
+Vertical lines all over the body show the heights at which it is entered and left. They give a layer's outline to within
+their spacing; walls and infill are compared with it. Lengths are in metres in the part frame.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ from planner.verify.reread.places import (
 from planner.verify.reread.slopes import SEEN, Heights, axis_along, normals_over, off_facets
 
 _PITCH = 1.0 / 3.0  # bead widths between lines through the body
-_AROUND = 3.0  # bead widths beside the body that the lines reach
-_MOST = 160_000  # lines
-_KNOWN = 0.9  # of the lines: with fewer a file has too many holes
-_BEND = 0.2  # of the way from the least to the greatest height of a layer, over which heights bend towards the least
-_BENT = 0.16  # of that: how far the bend is from the greater of both
-_UNSURE = 0.02  # layers by which the height of the body may be told differently
-_MORE = 2  # times as many layers of a harmonic field there may be as of an even height
-_LIKELY = 2  # of these numbers, by layers of an even height, are looked at
-_NEAR = 0.75  # bead widths from the middle line of a wall
-_LINES = 1.5  # distances of lines of infill: the greatest hole between them
-_SPREAD = 1.6  # distances of lines, where their turns count as filling and they lie farther apart
-_DENSE = 0.05  # of what is asked, that beads may hold less than notes tell of
-_TELLS = 0.95  # of what is asked: less is told
-_STEEPEST = 0.2  # upward component of normals
+_AROUND = 3.0  # bead widths that the lines reach beyond the body
+_MOST = 160_000  # most lines
+_KNOWN = 0.9  # × the lines: if fewer are known, the file has too many holes
+_BEND = 0.2  # × (greatest - least height of a layer): range over which heights blend into the least
+_BENT = 0.16  # × that range: greatest distance of the blend from the larger of the two
+_UNSURE = 0.02  # layers: uncertainty of the body's height
+_MORE = 2  # × the number of layers of even height: most that a harmonic field may have
+_LIKELY = 2  # likeliest of these numbers, by layers of even height, for which the field is solved
+_NEAR = 0.75  # bead widths: a place of a wall counts as filled this near to a middle line
+_LINES = 1.5  # × the spacing of infill lines: greatest hole between them
+_SPREAD = 1.6  # × that in sparse infill, where turns count as filling and lines lie farther apart
+_DENSE = 0.05  # × the required amount: beads may hold this much less than the notes report
+_TELLS = 0.95  # × the required amount: notes report a share below this
+_STEEPEST = 0.2  # least upward component of normals
 
 
 @dataclass(frozen=True)
 class BodyFacets:
     """A body's facets, and vertical lines through it on a grid.
 
-    low       x and y of the first line [m]; pitch: between lines
-    shape     lines along x and along y; plane (n, 2): x and y of each
-    lines     what they cross
+    low       x and y of the first line [m]; pitch: distance between lines
+    shape     number of lines along x and along y; plane (n, 2): x and y of each
+    lines     their crossings
     """
 
     facets: Facets
@@ -70,7 +70,7 @@ class BodyFacets:
 
     @classmethod
     def of(cls, facets: Facets, width: float) -> BodyFacets:
-        """Lines a share of a bead's width apart, or farther through a large body."""
+        """With lines a share of a bead's width apart, or farther through a large body."""
         corners = facets.corners.reshape(-1, 3)[:, :2]
         low, high = corners.min(axis=0) - _AROUND * width, corners.max(axis=0) + _AROUND * width
         pitch = max(_PITCH * width, float(np.sqrt(np.prod(high - low) / _MOST)))
@@ -79,14 +79,14 @@ class BodyFacets:
         return cls(facets, low, pitch, (len(axes[0]), len(axes[1])), plane, facets.crossings(plane))
 
     def depths(self, z: Array) -> tuple[Array, Flags]:
-        """How far (shape) [m] within the body's outline lines are where heights z (n) cut it, and of which that is known."""
+        """Depth (shape) [m] of lines within the body's outline at heights z (n), and whether that is known."""
         inside, known = self.lines.inside(np.nan_to_num(z, nan=-1.0))
         inside &= ~np.isnan(z)
         steps = (self.pitch, self.pitch)
         return depth_of(inside.reshape(self.shape), steps), known.reshape(self.shape)
 
     def at(self, values: Array, plane: Array) -> Array:
-        """Values on the grid (shape), straight between lines, at x, y (n, 2)."""
+        """Values on the grid (shape), interpolated linearly at x, y (n, 2)."""
         return np.asarray(map_coordinates(values, ((plane - self.low) / self.pitch).T, order=1, mode="nearest"))
 
 
@@ -94,7 +94,7 @@ class BodyFacets:
 class Stack:
     """Layers from a lower surface to an upper one, `count` where these are farthest apart; heights [m].
 
-    off: by how much they are off an even share, of levels of a harmonic field
+    off: offset from an even share, for levels of a harmonic field
     """
 
     lower: Heights
@@ -105,28 +105,28 @@ class Stack:
     off: LevelsOff | None = None
 
     def thickness(self, plane: Array) -> tuple[Array, Array]:
-        """Of layers at x, y (n, 2), and how far that may be off for the bend towards the least [m]."""
+        """Thickness of layers at x, y (n, 2), and its uncertainty where it blends into the least one [m]."""
         share = (self.upper(plane) - self.lower(plane)) / self.count
         reach = _BEND * (self.greatest - self.least)
         bent = np.where(np.abs(share - self.least) < reach, _BENT * reach, 0.0)
         return np.maximum(share, self.least) + 0.5 * bent, 0.5 * bent
 
     def above_lower(self, plane: Array, level: Array) -> Array:
-        """How far (n) above the lower surface `level` (n) layers end at x, y (n, 2) [m]."""
+        """Height (n) [m] above the lower surface of the top of `level` (n) layers at x, y (n, 2)."""
         even = level * self.thickness(plane)[0]
         return even if self.off is None else even + self.off.at(plane, level / self.count)
 
     def at(self, level: float) -> Heights:
-        """The heights of the surface `level` layers up."""
+        """Heights of the surface on top of `level` layers."""
         return lambda plane: self.lower(plane) + self.above_lower(plane, np.full(len(plane), level))
 
     def harmonic(self, low: Array, high: Array) -> Stack:
-        """The levels of the harmonic field between the first and the last of these, over a body from low to high (2)."""
+        """Levels of the harmonic field from the lower surface to the last layer, over a body from low to high (2)."""
         return replace(self, off=levels_off(self.lower, self.at(float(self.count)), low, high))
 
 
 def volume(judged: Judged, places: Places) -> Iterator[Check]:
-    """All checks of a mesh that is filled with layers; none of another print."""
+    """All checks of a mesh filled with layers; none for other prints."""
     spec, width = judged.problem.layers, judged.problem.process.bead.width
     if not isinstance(spec, VolumeLayersSpec):
         return
@@ -150,7 +150,7 @@ def volume(judged: Judged, places: Places) -> Iterator[Check]:
 
 
 def _guide(spec: GuideSpec | None, body: BodyFacets, which: str) -> Heights:
-    """The heights of a surface that layers begin at or come to."""
+    """Heights of the surface at which layers begin or end."""
     if spec is not None and spec.mesh is not None:
         facets = facets_of(spec.mesh)
         return lambda plane: facets.top(plane)[0]
@@ -164,7 +164,7 @@ def _guide(spec: GuideSpec | None, body: BodyFacets, which: str) -> Heights:
 
 
 def _stack(spec: VolumeLayersSpec, body: BodyFacets, lower: Heights, upper: Heights, places: Places) -> Stack | None:
-    """The layers, as many as most tips say where a hair of the body's height decides that."""
+    """The layers; where a hair of the body's height decides their number, the one that fits most tips."""
     there = ~np.isnan(body.lines.top()[0])
     gap = (upper(body.plane) - lower(body.plane))[there]
     most = float(np.nanmax(np.append(gap, 0.0)))
@@ -186,19 +186,19 @@ def _stack(spec: VolumeLayersSpec, body: BodyFacets, lower: Heights, upper: Heig
 
 
 def _off(stack: Stack, places: Places) -> tuple[Array, Array]:
-    """How far (n) [m] tips are above their layers, along z, and how much of that is not known."""
+    """How far (n) [m] tips are above their layers, along z, and the uncertainty of that."""
     plane, level = places.tip[:, :2], np.asarray(places.layer + 1.0, dtype=float)
     return places.tip[:, 2] - stack.lower(plane) - stack.above_lower(plane, level), level * stack.thickness(plane)[1]
 
 
 def _heights(judged: Judged, stack: Stack, places: Places) -> Iterator[Check]:
-    """Layers are as high as they are to be, and the nozzle is normal to them."""
+    """Layers are at their required heights, and the nozzle is normal to them."""
     off, unsure = _off(stack, places)
     some = places.few(SEEN)
     normals = np.full((3, len(some.tip), 3), np.nan)
     for k, own in by_number(some.layer):
         normals[:, own] = normals_over(stack.at(k + 1.0), some.tip[own, :2])
-    normals[:, stack.thickness(some.tip[:, :2])[1] > 0.0] = np.nan  # how heights bend there, only the planner knows
+    normals[:, stack.thickness(some.tip[:, :2])[1] > 0.0] = np.nan  # only the planner knows how heights blend there
     upright = np.interp(places.sample, some.sample, np.nan_to_num(normals[1, :, 2], nan=1.0))
     off = np.maximum(np.abs(off) - unsure, 0.0) * np.maximum(upright, _STEEPEST)
     bound = off_facets(judged) + OFF_LEVEL
@@ -208,7 +208,7 @@ def _heights(judged: Judged, stack: Stack, places: Places) -> Iterator[Check]:
 
 @dataclass(frozen=True)
 class _Layer:
-    """A layer's outline halfway up, by how far (grid) [m] lines lie within it surely and at best; z (grid) of its surface."""
+    """A layer's outline halfway up: least and greatest depth (grid) [m] of lines within it; z (grid) of its surface."""
 
     depth: Array
     perhaps: Array
@@ -228,7 +228,7 @@ class _Layer:
 
 
 def _layers(body: BodyFacets, stack: Stack, last: int, width: float, off: float) -> Iterator[tuple[int, _Layer]]:
-    """The layers from the first one up to the last that is printed, and beyond it as long as a bead has room in them."""
+    """The layers from the first to the last printed, and further ones as long as a bead fits into them."""
     for k in itertools.count():
         layer = _Layer.of(body, stack, k, off)
         if k > last and not ((layer.depth >= 0.5 * width) & layer.known).any():
@@ -239,13 +239,13 @@ def _layers(body: BodyFacets, stack: Stack, last: int, width: float, off: float)
 def _outlines(
     judged: Judged, spec: VolumeLayersSpec, body: BodyFacets, stack: Stack, layers: dict[int, _Layer], places: Places
 ) -> Iterator[Check]:
-    """Beads lie within their layers' outlines, walls are there, and the inside is as dense as is asked for."""
+    """Beads lie within their layers' outlines, walls are there, and the inside is as dense as required."""
     process, told, width = judged.problem.process, judged.toolpath.told, judged.problem.process.bead.width
     within = np.empty(len(places.tip))
     for k, own in by_number(places.layer):
         within[own] = body.at(layers[k].perhaps, places.tip[own, :2])
     limit = process.corner_tolerance + 2.0 * body.pitch + process.chord_tolerance
-    most = 0.5 * (width + body.pitch)  # a middle line lies inside, as far as the grid of lines can tell
+    most = 0.5 * (width + body.pitch)  # a middle line lies inside, as far as the grid can resolve
     beyond = np.maximum(0.5 * width - within, 0.0)
     yield worst_of(judged, places, INSIDE, beyond * 1e3, min(limit, most) * 1e3, "mm")
 
@@ -267,7 +267,7 @@ def _outlines(
 
 
 def _as_dense(judged: Judged, spec: VolumeLayersSpec, body: BodyFacets, layers: dict[int, _Layer]) -> Check:
-    """What beads cover, in the plane, of what walls and infill ask for."""
+    """The share of the area required by walls and infill that beads cover, in the plane."""
     width, told = judged.problem.process.bead.width, judged.toolpath.told
     wanted = 0.0
     for layer in layers.values():

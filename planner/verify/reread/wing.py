@@ -1,8 +1,8 @@
-"""Wings once more: where their layers are, by the verifier's own sections, and whether beads lie there and fill them.
+"""Wings checked again: where their layers lie, by the verifier's own sections, and whether beads fill them.
 
 Layers follow from the figures of the problem: those of a support from the bed up, then those parallel to the lower side,
-then those parallel to the upper one. The depths of executed tips beneath both sides, and their heights, say which layer
-they lie on. Lengths are metres in the part frame.
+then those parallel to the upper one. Depths of the executed tips below both sides, and their heights, identify the
+layer that they lie on. Lengths are in metres in the part frame.
 """
 
 from __future__ import annotations
@@ -35,31 +35,31 @@ from planner.verify.reread.places import (
     worst_of,
 )
 
-_APART = {"lower": 0.1, "upper": 0.5}  # layer heights by which the other side is farther away where a layer ends
-_CLOSER = 3  # steps to the foot of a place; each comes some thirty times nearer
-_STATIONS = 17  # along the span, at which the outline of a layer is measured where it changes
-_PIECE = 3.3  # bead widths: where a layer is narrower it may be left out, as pieces shorter than three are
-_NEAR = 0.75  # distances of passes from a pass: half of it is as far as can be
-_NARROW = 0.008  # of a layer: sheets of a tapered wing end narrow at both sides
-_TURNED = np.radians(0.05)  # by which normals of two curves through the same points may differ
-_STRETCHED = 1.05  # by which passes may be farther apart in places
-_SLANTED = 1.35  # distances of passes from a pass where they meet edges at an angle
-_LOOP = 5e-6  # m, by which a parallel comes nearer to its own side than its depth where it crosses itself
-_WITHIN = 1.5  # pitches of places from a bead's middle line to the nearest that is as far within
-_BESIDE = 0.5  # layer heights that level layers keep from the ends of curved ones, from where they rise
-_UNDERSIDE = 2000  # places of it
-_BESIDE_SIDES = 0.25  # of the span, by which sides are looked at beyond its ends
+_APART = {"lower": 0.1, "upper": 0.5}  # layer heights added to a layer's depth: it ends this far from the other side
+_CLOSER = 3  # steps to the foot of a place; each reduces the error some thirty times
+_STATIONS = 17  # along the span, at which a layer's outline is measured where it varies
+_PIECE = 3.3  # bead widths: narrower parts of a layer may be left out, as the planner does with those under three
+_NEAR = 0.75  # × the spacing of passes: greatest distance from a pass; half would be exact
+_NARROW = 0.008  # × a layer: share left unfilled, as sheets of a tapered wing end narrow on both sides
+_TURNED = np.radians(0.05)  # normals of two curves through the same points may differ by this
+_STRETCHED = 1.05  # × the spacing of passes: they may be this far apart in places
+_SLANTED = 1.35  # × the spacing of passes: greatest distance from a pass where passes meet edges at an angle
+_LOOP = 5e-6  # m: where a parallel crosses itself, it is nearer to its own side than its depth by more than this
+_WITHIN = 1.5  # pitches of places: from a bead's middle line to the nearest place as far within
+_BESIDE = 0.5  # layer heights: level layers keep this far from the ends of curved ones, and rise from there
+_UNDERSIDE = 2000  # places of an underside
+_BESIDE_SIDES = 0.25  # × the span: sides are sampled this far beyond both ends
 _SPACED = 0.3  # bead widths between places of a side along the span
-_ROUND = 1e-9  # m or layers
-_LOOKS = 200  # places of a printed layer by which the layer is known that it lies on
-_FAR = 1.0  # m
+_ROUND = 1e-9  # m or layers: rounding
+_LOOKS = 200  # places of a printed layer by which the layer that it lies on is identified
+_FAR = 1.0  # m, in place of unknown distances
 
 
 @dataclass(frozen=True)
 class WingLayer:
     """Where a layer lies: parallel to the side `kind`, lower or upper, `at` [m] inside it; or level at the height `at`.
 
-    kind     of level ones: cut, the wing's section at the height `end`; or under, beneath what lies on it
+    kind     of level layers: cut, the wing's section at the height `end`; or under, a support beneath other layers
     end      distance from the other side at which it ends, or the height of a section [m]
     spacing  of passes [m]
     """
@@ -72,7 +72,7 @@ class WingLayer:
 
 @dataclass(frozen=True)
 class Wing:
-    """A wing's two sides, and the figures that say where its layers end."""
+    """A wing's two sides, and the figures that determine where its layers end."""
 
     lower: Ruled
     upper: Ruled
@@ -86,7 +86,7 @@ class Wing:
 
     @cached_property
     def trees(self) -> dict[str, cKDTree]:
-        """Places all over both sides."""
+        """Trees of places all over both sides."""
         shares = np.zeros(1)
         if self.spec.source.tip is not None:
             count = int((1.0 + 2.0 * _BESIDE_SIDES) * self.spec.source.span / (_SPACED * self.width))
@@ -101,12 +101,12 @@ class Wing:
 
     @cached_property
     def undersides(self) -> list[Array]:
-        """At each station points (n, 2), by x, of what lies on the level layers of a support."""
+        """At each station, points (n, 2), ordered by x, of the underside of what lies on a support's level layers."""
         support, height = self.spec.support, self.spec.height
         curved = 0 if support is None or self.spec.source.method == "planar" else support.curved
         layer = WingLayer("lower", -curved * height, 0.0, self.width)
         c, reach = np.linspace(0.0, 1.0, _UNDERSIDE), np.array([_BESIDE * height, 0.0])
-        rise = 0.0 if support is None else support.height  # beside curved layers, no steeper than these lean at most
+        rise = 0.0 if support is None else support.height  # next to curved layers, no steeper than they may lean
         run = rise / np.tan(self.spec.source.tilt)
         found = []
         for v in self.stations:
@@ -129,7 +129,7 @@ class Wing:
 
 
 def wing(judged: Judged, places: Places) -> Iterator[Check]:
-    """All checks of a wing; none of another print."""
+    """All checks of a wing; none for other prints."""
     spec, process = judged.problem.layers, judged.problem.process
     if not isinstance(spec, AerofoilLayersSpec):
         return
@@ -152,16 +152,16 @@ def wing(judged: Judged, places: Places) -> Iterator[Check]:
     yield worst_of(judged, places, NORMAL, lean, float(np.degrees(process.cones.tilt + AXIS + _TURNED)), "deg")
     beyond = np.zeros(len(places.tip))
     for k, own in by_number(which):
-        area = found[k][1]  # passes end by their own lengths, however edges slant there
+        area = found[k][1]  # passes end where their own lengths do, however the edge slants there
         within = MIDDLE * width - max(area.pitch) if spec.source.tip is None else 0.0
         beyond[own] = area.beyond(places.tip[own], within)
     limit = _WITHIN * max(max(found[k][1].pitch) for k in known) + process.corner_tolerance
     if spec.source.tip is not None:
-        # outlines are taken as straight between stations, the planner's between nearer ones
+        # outlines are interpolated linearly between stations; the planner's stations are closer
         limit += MIDDLE * width
     yield worst_of(judged, places, INSIDE, beyond * 1e3, limit * 1e3, "mm")
     wanted = [k for k in known if len(asked[k].points)]
-    if judged.trajectory.first_bead:  # the rest of a print that was interrupted
+    if judged.trajectory.first_bead:  # the rest of an interrupted print
         first = int(which.min())
         wanted = [k for k in wanted if k > first and not _at_one_height(found[k][0], found[first][0])]
     if spec.count is not None:
@@ -171,12 +171,12 @@ def wing(judged: Judged, places: Places) -> Iterator[Check]:
 
 
 def _at_one_height(one: WingLayer, other: WingLayer) -> bool:
-    """Whether two layers are a section of the wing and its support at a height, whichever of them is laid first."""
+    """Whether two layers are a section of the wing and its support at one height, whichever is laid first."""
     return {one.kind, other.kind} <= {"cut", "under"} and one.at == other.at
 
 
 def _layers(body: Wing) -> Iterator[WingLayer]:
-    """All layers in print order, those too that come out empty."""
+    """All layers in print order, including those that turn out empty."""
     spec, width, height = body.spec, body.width, body.spec.height
     support, planar = spec.support, spec.source.method == "planar"
     ends = [np.vstack(each) for each in ((body.lower.root, body.upper.root), (body.lower.tip, body.upper.tip))]
@@ -199,9 +199,9 @@ def _layers(body: Wing) -> Iterator[WingLayer]:
 
 
 def _last_of(count: int, layers: Sequence[WingLayer], known: Sequence[int]) -> int:
-    """The number of the last of so many layers from the first: of wing and support at one height both are one.
+    """The number of the last of `count` layers from the first; wing and support at one height count as one.
 
-    Layers that are hardly one count here, and may not have been counted: then more are printed.
+    Barely existing layers count here; the planner may not have counted them, and then prints more.
     """
     one = [a.kind == "under" and b.kind == "cut" and a.at == b.at for a, b in itertools.pairwise(layers)]
     counted = np.cumsum([1, *np.logical_not(one)])
@@ -209,8 +209,8 @@ def _last_of(count: int, layers: Sequence[WingLayer], known: Sequence[int]) -> i
 
 
 def _on_layers(body: Wing, layers: dict[int, tuple[WingLayer, PlaceGrid]], places: Places) -> tuple[Array, Array, Ints]:
-    """How far (n) [m] tips are off the layer that most of a printed layer is nearest to, outward unit normals (n, 3) of it,
-    and its number (n)."""
+    """Distance (n) [m] of tips from the layer that their printed layer is mostly nearest to, its outward unit normals
+    (n, 3), and its number (n)."""
     level = places.tip[:, 2]
     groups = list(by_number(_layer_and_material(places, body)))
     few = np.concatenate([own[:: max(len(own) // _LOOKS, 1)] for _, own in groups])
@@ -223,7 +223,7 @@ def _on_layers(body: Wing, layers: dict[int, tuple[WingLayer, PlaceGrid]], place
         looks = own[:: max(len(own) // _LOOKS, 1)]
         usual = {k: _usual(some.get(each.kind, level)[looks] - each.at) for k, (each, _) in layers.items()}
         nearest = [k for k, away in usual.items() if away <= min(usual.values()) + _ROUND]
-        if len(nearest) > 1:  # of the wing and its support, side by side
+        if len(nearest) > 1:  # the wing and its support, side by side
             beside = [_usual(layers[k][1].beyond(places.tip[looks], 0.0)) for k in nearest]
             nearest = [nearest[int(np.argmin(beside))]]
         which[own] = nearest[0]
@@ -245,18 +245,18 @@ def _on_layers(body: Wing, layers: dict[int, tuple[WingLayer, PlaceGrid]], place
 
 
 def _usual(off: Array) -> float:
-    """How far places usually are off a layer [m]."""
+    """Median distance of places from a layer [m]."""
     return float(np.median(np.abs(np.nan_to_num(off, nan=_FAR))))
 
 
 def _layer_and_material(places: Places, body: Wing) -> Ints:
-    """Numbers (n) of what is matched as one: a layer, or a bead where two kinds of layers share their heights."""
+    """Numbers (n) of the units matched to layers: layers, or beads where two kinds of layers share heights."""
     both = body.spec.source.method == "planar" and body.spec.support is not None
     return places.bead if both else places.layer
 
 
 def _asked(body: Wing, layer: WingLayer, area: PlaceGrid) -> AskedPlaces:
-    """What of a layer is to be filled, and how near to a bead that is."""
+    """The places of a layer that must be filled, and how near to a bead they must be."""
     near, beside = _NEAR * _STRETCHED * layer.spacing, _SLANTED * layer.spacing
     if body.spec.source.tip is None:
         sizes = [body.spec.source.span, *_runs(area, layer.spacing)]
@@ -266,7 +266,7 @@ def _asked(body: Wing, layer: WingLayer, area: PlaceGrid) -> AskedPlaces:
 
 
 def _runs(area: PlaceGrid, least: float) -> list[float]:
-    """How long [m] the pieces of a layer are across that are longer than `least` [m]."""
+    """Lengths [m] across of the pieces of a layer that are longer than `least` [m]."""
     row = area.inside[len(area.inside) // 2]
     ends = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(np.int8), [0]])))
     sizes = (ends[1::2] - ends[::2]) * area.pitch[1]
@@ -274,7 +274,7 @@ def _runs(area: PlaceGrid, least: float) -> list[float]:
 
 
 def _areas(body: Wing) -> Iterator[tuple[WingLayer, PlaceGrid]]:
-    """The layers, and their places; of each half the layers inwards of the first that comes out empty are not looked at."""
+    """The layers and their places; in each half, layers further inside than the first empty one are skipped."""
     ended: set[str] = set()
     upper: list[tuple[WingLayer, PlaceGrid]] = []
     layers = list(_layers(body))
@@ -293,7 +293,7 @@ def _areas(body: Wing) -> Iterator[tuple[WingLayer, PlaceGrid]]:
 
 
 def _area(body: Wing, layer: WingLayer) -> PlaceGrid:
-    """The places of a layer."""
+    """The grid of places of a layer."""
     span = body.spec.source.span
     if layer.kind in ("cut", "under"):
         low, high = _ends(body, layer)
@@ -312,7 +312,7 @@ def _lines(side: Ruled, c: Array) -> Array:
 
 
 def _parallel(body: Wing, layer: WingLayer) -> Place:
-    """Points of a layer parallel to a side, v counted where they are, not where their feet are."""
+    """Points of a layer parallel to a side; v is their own share of the span, not that of their feet."""
     side = body.side(layer.kind)
 
     def place(c: Array, v: Array) -> Array:
@@ -325,7 +325,7 @@ def _parallel(body: Wing, layer: WingLayer) -> Place:
 
 
 def _clear(body: Wing, layer: WingLayer) -> Place:
-    """Room of a layer parallel to a side: to the other side, to where it crosses itself, and to where it is too steep."""
+    """Room of a layer parallel to a side: up to the other side, a crossing with itself, or a slope too steep."""
     side, own = body.side(layer.kind), body.trees[layer.kind]
     other = body.trees["upper" if layer.kind == "lower" else "lower"]
     place = _parallel(body, layer)
@@ -336,7 +336,7 @@ def _clear(body: Wing, layer: WingLayer) -> Place:
         most = layer.end + body.spec.height
         clear = np.minimum(other.query(points, distance_upper_bound=most)[0], most) - layer.end
         room = np.minimum(clear, steep)
-        if layer.at != 0.0:  # a loop is one or is none: in between nothing tells how far it is
+        if layer.at != 0.0:  # only inside a loop or not: there is no distance to one
             room = np.where(own.query(points)[0] < abs(layer.at) - _LOOP, np.minimum(room, -_LOOP), room)
         return np.asarray(room)
 
@@ -359,7 +359,7 @@ def _level(body: Wing, layer: WingLayer, low: float, high: float) -> Place:
 
 
 def _rooms(body: Wing, layer: WingLayer, low: float, high: float) -> Place:
-    """Room along x of a level layer: in a section of the wing, or beneath and beside what lies on a support."""
+    """Room along x of a level layer: in a section of the wing, or beneath and next to what lies on a support."""
 
     def room(c: Array, v: Array) -> Array:
         x = low + c * (high - low)
@@ -372,7 +372,7 @@ def _rooms(body: Wing, layer: WingLayer, low: float, high: float) -> Place:
 
 
 def _beneath(under: Array, top: float, low: float, high: float) -> Array:
-    """x (k), in order, between which from `low` to `high` there is nothing of `under` (n, 2) below a height [m]."""
+    """Ends x (k), in order, of intervals in `low` to `high` where `under` (n, 2) stays above the height `top` [m]."""
     x = np.unique(np.concatenate([np.linspace(low, high, _UNDERSIDE), np.clip(under[:, 0], low, high)]))
     free = np.interp(x, under[:, 0], under[:, 1], left=_FAR, right=_FAR) >= top - _ROUND
     ends = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(np.int8), [0]])))
@@ -380,7 +380,7 @@ def _beneath(under: Array, top: float, low: float, high: float) -> Array:
 
 
 def _crossings(outline: Array, height: float) -> Array:
-    """x (k), in order, at which an outline (n, 2), closed by a straight line, is as high."""
+    """x (k), in order, at which an outline (n, 2), closed by a straight line, crosses a height."""
     ahead = np.roll(outline, -1, axis=0)
     k = np.flatnonzero((outline[:, 1] > height) != (ahead[:, 1] > height))
     share = (height - outline[k, 1]) / (ahead[k, 1] - outline[k, 1])
@@ -388,7 +388,7 @@ def _crossings(outline: Array, height: float) -> Array:
 
 
 def _within(x: Array, ends: Array) -> Array:
-    """How far (n) [m] x (n) lie within intervals between ends (k); negative outside."""
+    """Depth (n) [m] of x (n) within intervals with ends (k); negative outside."""
     if not len(ends):
         return np.full(len(x), -_FAR)
     away = np.abs(x[:, None] - ends).min(axis=1)
