@@ -145,7 +145,7 @@ def test_a_start_posture_within_a_wall(tmp_path: Path, capsys: pytest.CaptureFix
     ("name", "field", "text"),
     [
         ("saddle_ring", "layers.source.mesh", "no mesh"),
-        ("curved_plate", "part.step.file", "no STEP file"),
+        ("curved_plate", "part.step.file", "not a STEP file"),
         ("naca0015_wing", "layers.source.aerofoil", "no section"),
     ],
 )

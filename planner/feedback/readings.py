@@ -21,7 +21,7 @@ LEAVES = 0.03  # m from a path: beyond, the motion is another program's
 MOST_STARTS = 6  # departures from the first posture that are tried as the start of a run
 LEAST_MOTION = 5  # samples after a start
 BEFORE = 0.2  # s before the start that are included
-FINEST = (np.radians(0.05), 1e-4)  # rad, m: coarsest resolution of recorded joints
+COARSEST = (np.radians(0.05), 1e-4)  # rad, m: coarsest resolution of recorded joints
 GAP = 5.0  # × the median step: a longer one is a gap
 
 
@@ -120,7 +120,7 @@ def check_digits(log: RobotLog, reading: LogReading, cell: Cell) -> None:
     """Raises InputError if the resolution of the recorded joints is too coarse to tell where the robot was."""
     steps = np.abs(np.diff(log.executed, axis=0)) * np.abs(reading.scale)
     least = np.where(steps > 0.0, steps, np.inf).min(axis=0)
-    coarse = np.flatnonzero(np.isfinite(least) & (least > np.where(cell.limits.turns, *FINEST)))
+    coarse = np.flatnonzero(np.isfinite(least) & (least > np.where(cell.limits.turns, *COARSEST)))
     if len(coarse):
         j = int(coarse[0])
         words = f"{np.degrees(least[j]):.3g} degrees" if cell.limits.turns[j] else f"{1e3 * least[j]:.3g} mm"
