@@ -172,6 +172,21 @@ print(len(said), len(done) > 0 and done == sorted(done) and 0 < done[0])
     assert told == [["1", "True"], ["0", "False"]]
 
 
+def test_where_most_kernels_are_there_a_few_others_are_not_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_loaded_kernels", lambda: list(range(100)))
+    monkeypatch.setattr(compiled, "was_compiled", lambda kernel: kernel >= 30)
+    start = {"dispatcher": SimpleNamespace(py_func=SimpleNamespace(__module__="planner.kernels"))}
+    said: list[int] = []
+    with compiled.while_compiling(lambda kernels, seconds: said.append(kernels) or (lambda there: None)):
+        for _ in range(compiled.WORTH_TELLING):
+            event.start_event("numba:compile", data=start)
+            event.end_event("numba:compile", data=start)
+        assert not said
+        event.start_event("numba:compile", data=start)
+        event.end_event("numba:compile", data=start)
+    assert said == [30]
+
+
 def test_processes_forked_from_one_tell_once_of_kernels_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "WORTH_TELLING", 0)
     said, hears = os.pipe()

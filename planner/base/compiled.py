@@ -298,29 +298,36 @@ class _Counter(event.Listener):
 
 
 class _Listener(event.Listener):
-    """Calls `begun` when the first of our kernels is compiled, and what that returns after every one."""
+    """Calls `begun` when our kernels begin to be compiled, and what that returns after every one."""
 
     def __init__(self, begun: Callable[[int, float], Callable[[int], None]]) -> None:
         self._begun = begun
         self._told: Callable[[int], None] | None = None
         self._missing: list[Any] = []
         self._count = self._compiled = 0
+        self._most = False
         self._said = Value("b", 0)  # shared with processes forked from this one
 
     def on_start(self, event: Any) -> None:
-        if self._told is None and _is_ours(event.data["dispatcher"]):
-            self._missing = _not_there()
-            self._count = count = len(self._missing)
+        if self._told is not None or not _is_ours(event.data["dispatcher"]):
+            return
+        if not self._missing:
+            kernels = _loaded_kernels()
+            self._missing = [kernel for kernel in kernels if not was_compiled(kernel)]
+            self._count, self._most = len(self._missing), 2 * len(self._missing) > len(kernels)
+        # If most kernels are there, this run may need few of the others: it is told only when it has compiled some.
+        if self._most or self._compiled >= WORTH_TELLING:
             with self._said.get_lock():
                 first, self._said.value = not self._said.value, 1
-            worth = first and count >= WORTH_TELLING
-            self._told = self._begun(count, count * SECONDS_A_KERNEL) if worth else lambda _: None
+            worth = first and self._count >= WORTH_TELLING
+            self._told = self._begun(self._count, self._count * SECONDS_A_KERNEL) if worth else lambda _: None
 
     def on_end(self, event: Any) -> None:
-        if self._told is not None and _is_ours(event.data["dispatcher"]):
+        if _is_ours(event.data["dispatcher"]):
             self._compiled += 1
-            self._missing = [kernel for kernel in self._missing if not was_compiled(kernel)]
-            self._told(max(self._compiled, self._count - len(self._missing)))
+            if self._told is not None:
+                self._missing = [kernel for kernel in self._missing if not was_compiled(kernel)]
+                self._told(max(self._compiled, self._count - len(self._missing)))
 
 
 def was_compiled(kernel: Any) -> bool:
@@ -329,11 +336,10 @@ def was_compiled(kernel: Any) -> bool:
     return file is not None and bool(file._load_index())  # empty where the stamp differs, see `_stamp`
 
 
-def _not_there() -> list[Any]:
-    """Kernels of the loaded modules that are not in numba's cache."""
+def _loaded_kernels() -> list[Any]:
+    """Our kernels of the modules that are loaded."""
     modules = [module for name, module in list(sys.modules.items()) if name.startswith("planner.")]
-    kernels = {id(value): value for module in modules for value in vars(module).values() if _is_ours(value)}
-    return [kernel for kernel in kernels.values() if not was_compiled(kernel)]
+    return list({id(value): value for module in modules for value in vars(module).values() if _is_ours(value)}.values())
 
 
 def _is_ours(value: Any) -> bool:
